@@ -1,0 +1,1 @@
+"""Learn a highway driver from demonstrations, without gradients, on SUMO."""

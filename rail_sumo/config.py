@@ -1,0 +1,262 @@
+"""Every knob: TOML into frozen, typed models that refuse what they don't know."""
+
+import difflib
+import math
+import tomllib
+from collections.abc import Iterable, Iterator
+from pathlib import Path
+from typing import Annotated, Any, Literal
+
+import tomli_w
+from pydantic import BaseModel, ConfigDict, Field, ValidationError, model_validator
+
+from rail_sumo.errors import InputError
+
+Positive = Annotated[float, Field(gt=0.0, allow_inf_nan=False)]
+NonNegative = Annotated[float, Field(ge=0.0, allow_inf_nan=False)]
+Limit = Annotated[float, Field(gt=0.0)]
+"""A positive number, or inf for "no limit"."""
+Count = Annotated[int, Field(ge=1)]
+
+
+class _Section(BaseModel):
+    model_config = ConfigDict(extra="forbid", frozen=True, strict=True)
+
+
+class Network(_Section):
+    """The road."""
+
+    file: str = "highway5"
+    """A shipped network's name, or a path to a `.net.xml`."""
+
+
+class Episode(_Section):
+    """When an episode ends: at the course's end or after the duration, whichever comes first; inf is no limit."""
+
+    course_m: Limit = 7222.0
+    duration_s: Limit = math.inf
+    decision_period_s: Annotated[float, Field(ge=0.1, le=10.0)] = 1.0
+
+    @model_validator(mode="after")
+    def _ends(self) -> "Episode":
+        if math.isinf(self.course_m) and math.isinf(self.duration_s):
+            raise ValueError("course_m and duration_s are both inf: the episode would never end; set one of them")
+        return self
+
+
+class Traffic(_Section):
+    """The surrounding vehicles: a window that moves with the host, or the user's own demand."""
+
+    routes: tuple[str, ...] = ()
+    """The user's demand files (`.rou.xml`); empty for the moving window."""
+    vehicles: Annotated[int, Field(ge=0, le=500)] = 20
+    ahead_m: Annotated[float, Field(ge=50.0, le=2000.0)] = 250.0
+    behind_m: Annotated[float, Field(ge=50.0, le=2000.0)] = 150.0
+    speed_low_kmh: Positive = 40.0
+    speed_high_kmh: Positive = 70.0
+    lane_change_every_s: Limit = 30.0
+    """Mean time between one vehicle's random lane changes; inf for none."""
+
+    @model_validator(mode="after")
+    def _ordered(self) -> "Traffic":
+        if self.speed_low_kmh > self.speed_high_kmh:
+            raise ValueError(f"speed_low_kmh {self.speed_low_kmh} is above speed_high_kmh {self.speed_high_kmh}")
+        return self
+
+
+class Lidar(_Section):
+    """The synthetic LIDAR."""
+
+    n_rays: Annotated[int, Field(ge=1, le=720)] = 24
+    max_range_m: Annotated[float, Field(ge=1.0, le=500.0)] = 100.0
+    road_edges: bool = True
+    """Whether rays also end at the road's edges, as at a guard rail."""
+
+
+class Observation(_Section):
+    """What the policy sees besides the scan; all off by default."""
+
+    host_speed: bool = False
+    lateral_state: bool = False
+    frames: Annotated[int, Field(ge=1, le=8)] = 1
+
+
+class Adas(_Section):
+    """The layer that carries the decisions out."""
+
+    min_speed_kmh: Positive = 40.0
+    max_speed_kmh: Positive = 80.0
+    speed_step_kmh: Positive = 5.0
+    start_speed_kmh: Positive = 60.0
+    acceleration_mps2: Positive = 2.0
+    comfort_braking_mps2: Positive = 2.0
+    emergency_braking_mps2: Annotated[float, Field(gt=0.0, le=9.0)] = 9.0
+    time_gap_s: Annotated[float, Field(ge=1.0, le=5.0)] = 1.0
+    standstill_gap_m: Annotated[float, Field(ge=1.0, le=10.0)] = 2.0
+    lateral_speed_mps: Annotated[float, Field(ge=0.5, le=3.0)] = 1.7
+
+    @model_validator(mode="after")
+    def _ordered(self) -> "Adas":
+        if not self.min_speed_kmh <= self.start_speed_kmh <= self.max_speed_kmh:
+            raise ValueError(
+                f"start_speed_kmh {self.start_speed_kmh} must lie between min_speed_kmh {self.min_speed_kmh} "
+                f"and max_speed_kmh {self.max_speed_kmh}"
+            )
+        return self
+
+
+class Policy(_Section):
+    """The supervisor's network."""
+
+    layers: Literal[1, 2] = 2
+    hidden: Annotated[int, Field(ge=1, le=1024)] = 64
+
+
+class Cloning(_Section):
+    """Behaviour cloning: softmax cross-entropy on whitened observations."""
+
+    epochs: Annotated[int, Field(ge=0)] = 30
+    batch_size: Count = 256
+    learning_rate: Positive = 1e-3
+    weight_decay: NonNegative = 1e-4
+
+
+class Search(_Section):
+    """Augmented random search (Mania et al. 2018) over the policy's parameters."""
+
+    n_directions: Count = 16
+    n_top: Count = 8
+    step_size: Positive = 0.05
+    noise_std: Positive = 0.05
+
+    @model_validator(mode="after")
+    def _top(self) -> "Search":
+        if self.n_top > self.n_directions:
+            raise ValueError(f"n_top {self.n_top} exceeds n_directions {self.n_directions}")
+        return self
+
+
+class Judge(_Section):
+    """The discriminator and its least-squares training."""
+
+    hidden: tuple[Count, ...] = (100, 100)
+    learning_rate: Positive = 3e-4
+    minibatches: Count = 30
+    batch_size: Count = 512
+    gradient_penalty: NonNegative = 0.1
+    reward_clip: Positive = 5.0
+    replay_iterations: Count = 1
+    """How many iterations' learner trajectories the judge is trained on, the newest included."""
+
+
+class Train(_Section):
+    """One training run."""
+
+    demonstrations: str = "expert"
+    """`expert` for the shipped expert's own, or a Parquet file that `rail-sumo expert record` wrote."""
+    trajectories: Count = 40
+    iterations: Annotated[int, Field(ge=0)] = 60
+    horizon_s: Positive = 120.0
+    """Length of one training rollout."""
+    evaluation_episodes: Count = 16
+
+
+class Config(_Section):
+    """The whole tree; a function takes the part it needs."""
+
+    network: Network = Network()
+    episode: Episode = Episode()
+    traffic: Traffic = Traffic()
+    lidar: Lidar = Lidar()
+    observation: Observation = Observation()
+    adas: Adas = Adas()
+    policy: Policy = Policy()
+    cloning: Cloning = Cloning()
+    search: Search = Search()
+    judge: Judge = Judge()
+    train: Train = Train()
+
+
+def load(path: Path | None = None, overrides: Iterable[str] = ()) -> Config:
+    """Read a TOML file (all defaults without one) and apply `section.key=value` overrides.
+
+    Values of overrides are read as TOML, bare words as strings.
+
+    Raises:
+        InputError: no such file, not TOML, an unknown key (with a suggestion), a wrong type, a value out of range.
+    """
+    tree: dict[str, Any] = {}
+    if path is not None:
+        try:
+            tree = tomllib.loads(path.read_text(encoding="utf-8"))
+        except OSError as error:
+            raise InputError(f"cannot read configuration '{path}': {error.strerror}") from None
+        except (tomllib.TOMLDecodeError, UnicodeDecodeError) as error:
+            raise InputError(f"configuration '{path}' is not valid TOML: {error}") from None
+    for override in overrides:
+        _apply(tree, override)
+    return validate(tree)
+
+
+def validate(tree: dict[str, Any]) -> Config:
+    """Return the configuration a nested dict describes; see `load` for the errors."""
+    try:
+        return Config.model_validate_json(_json(tree))
+    except ValidationError as error:
+        raise InputError(_explain(error)) from None
+
+
+def dumps(config: Config) -> str:
+    """Return the configuration as TOML, every key written out."""
+    return tomli_w.dumps(config.model_dump())
+
+
+def _json(tree: dict[str, Any]) -> str:
+    # Strict validation from Python objects refuses lists for tuples; JSON mode is strict about scalars alone.
+    from pydantic_core import to_json
+
+    return to_json(tree, inf_nan_mode="constants").decode()
+
+
+def _apply(tree: dict[str, Any], override: str) -> None:
+    key, equals, text = override.partition("=")
+    parts = [part.strip() for part in key.split(".")]
+    if not equals or len(parts) != 2 or not all(parts):
+        raise InputError(f"--set takes section.key=value, for example traffic.vehicles=30; got '{override}'")
+    try:
+        value = tomllib.loads(f"value = {text}")["value"]
+    except tomllib.TOMLDecodeError:
+        value = text.strip()
+    section = tree.setdefault(parts[0], {})
+    if not isinstance(section, dict):
+        raise InputError(f"configuration: '{parts[0]}' must be a section, written [{parts[0]}]; got {section!r}")
+    section[parts[1]] = value
+
+
+def _explain(error: ValidationError) -> str:
+    first = error.errors()[0]
+    location = ".".join(str(part) for part in first["loc"]) or "configuration"
+    more = f" (and {error.error_count() - 1} more)" if error.error_count() > 1 else ""
+    if first["type"] == "extra_forbidden":
+        return f"configuration: unknown key '{location}'{_suggest(first['loc'])}{more}"
+    message = first["msg"].removeprefix("Value error, ")
+    given = "" if isinstance(first["input"], dict) else f", got {first['input']!r}"
+    return f"configuration: {location}: {message}{given}{more}"
+
+
+def _suggest(location: tuple[int | str, ...]) -> str:
+    if len(location) == 2 and location[0] in Config.model_fields:
+        section = Config.model_fields[str(location[0])].annotation
+        assert section is not None
+        allowed = [f"{location[0]}.{key}" for key in section.model_fields]
+    else:
+        allowed = list(Config.model_fields) if len(location) == 1 else []
+    near = difflib.get_close_matches(".".join(map(str, location)), allowed + list(_keys()), n=1)
+    question = f"; did you mean '{near[0]}'?" if near else ""
+    return f"{question} (available: {', '.join(allowed)})" if allowed else question
+
+
+def _keys() -> Iterator[str]:
+    for name, field in Config.model_fields.items():
+        assert field.annotation is not None
+        yield from (f"{name}.{key}" for key in field.annotation.model_fields)

@@ -1,0 +1,16 @@
+"""What a user can get wrong, in one line."""
+
+import difflib
+from collections.abc import Iterable
+
+
+class InputError(ValueError):
+    """A user's mistake: says what was given, what is allowed and what to do. The command line exits with code 2."""
+
+
+def did_you_mean(given: str, available: Iterable[str]) -> str:
+    """Return `"; did you mean 'x'? (available: ...)"` for an unknown name; without a near name, only the list."""
+    names = sorted(available)
+    near = difflib.get_close_matches(given, names, n=1)
+    question = f"; did you mean '{near[0]}'?" if near else ""
+    return f"{question} (available: {', '.join(names)})"

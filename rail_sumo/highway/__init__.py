@@ -1,0 +1,1 @@
+"""The world the supervisor drives in."""

@@ -1,0 +1,1 @@
+"""How a supervisor is learned."""

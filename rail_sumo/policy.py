@@ -1,0 +1,92 @@
+"""The supervisor: a flat parameter vector and an observation give an action. Workers need numpy alone."""
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from rail_sumo.records import Floats, MetaAction
+
+N_ACTIONS = len(MetaAction)
+
+
+@dataclass(frozen=True)
+class Shape:
+    """How theta is laid out: row-major weights with their biases, input layer first."""
+
+    n_features: int
+    hidden: int | None
+    """Units of the tanh hidden layer, or None for a single (linear) layer."""
+
+    @property
+    def layers(self) -> list[tuple[int, int]]:
+        """(rows, columns) of each layer's matrix; the last column is the bias."""
+        if self.hidden is None:
+            return [(N_ACTIONS, self.n_features + 1)]
+        return [(self.hidden, self.n_features + 1), (N_ACTIONS, self.hidden + 1)]
+
+    @property
+    def size(self) -> int:
+        """Length of theta."""
+        return sum(rows * columns for rows, columns in self.layers)
+
+
+@dataclass(frozen=True)
+class Whitening:
+    """Mean and standard deviation of the demonstrations' observations, each of shape (n_features,)."""
+
+    mean: Floats
+    std: Floats
+
+    @classmethod
+    def of(cls, observations: Floats) -> "Whitening":
+        """Measure observations of shape (n, n_features); a feature that never varies keeps its scale."""
+        std = observations.std(axis=0)
+        return cls(observations.mean(axis=0), np.where(std < 1e-8, 1.0, std))
+
+
+class Policy:
+    """Deterministic supervisor: the action with the largest of five outputs.
+
+    Args:
+        theta: flat parameters, shape (shape.size,).
+        shape: the layout of theta.
+        whitening: observations are centred and scaled by it before the first layer; folded into that layer's
+            weights once, so that a decision costs one matrix product a layer.
+
+    Raises:
+        ValueError: theta or whitening does not fit the shape.
+    """
+
+    def __init__(self, theta: Floats, shape: Shape, whitening: Whitening) -> None:
+        theta = np.asarray(theta, dtype=np.float64)
+        if theta.shape != (shape.size,):
+            raise ValueError(f"theta must have shape ({shape.size},) for {shape}; got {theta.shape}")
+        if whitening.mean.shape != (shape.n_features,):
+            raise ValueError(f"whitening must have shape ({shape.n_features},); got {whitening.mean.shape}")
+        self.shape = shape
+        matrices = unflatten(theta, shape)
+        weights = matrices[0][:, :-1] / whitening.std
+        self._first = weights
+        self._first_bias = matrices[0][:, -1] - weights @ whitening.mean
+        self._second = matrices[1] if shape.hidden is not None else None
+
+    def outputs(self, observation: Floats) -> Floats:
+        """Return the five outputs, shape (5,)."""
+        outputs = self._first @ observation
+        outputs += self._first_bias
+        if self._second is None:
+            return outputs
+        return self._second[:, :-1] @ np.tanh(outputs) + self._second[:, -1]
+
+    def __call__(self, observation: Floats) -> int:
+        """Return the `MetaAction` for an observation of shape (n_features,)."""
+        return int(self.outputs(observation).argmax())
+
+
+def unflatten(theta: Floats, shape: Shape) -> list[Floats]:
+    """Split theta into its layers' matrices (views)."""
+    matrices, start = [], 0
+    for rows, columns in shape.layers:
+        matrices.append(theta[start : start + rows * columns].reshape(rows, columns))
+        start += rows * columns
+    return matrices

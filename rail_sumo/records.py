@@ -1,0 +1,143 @@
+"""The records that cross the borders between modules, and the column names of every table."""
+
+from dataclasses import dataclass
+from enum import IntEnum
+from typing import Literal
+
+import numpy as np
+from numpy.typing import NDArray
+
+Floats = NDArray[np.float64]
+
+SECONDS_PER_STEP = 0.1
+"""SUMO's step, in seconds. Rewards are accounted per step of this length."""
+
+KMH = 3.6
+"""Kilometres per hour in one metre per second."""
+
+
+class MetaAction(IntEnum):
+    """What the supervisor can decide."""
+
+    KEEP = 0
+    ACCELERATE = 1
+    DECELERATE = 2
+    LEFT = 3
+    RIGHT = 4
+
+
+@dataclass(frozen=True, slots=True)
+class Scene:
+    """All vehicles around the host now, the host first.
+
+    SI units, road frame: x east, y north, headings in radians counter-clockwise from east, (x, y) the centre of
+    each vehicle's box. Arrays have shape (n_vehicles,); row 0 is the host.
+    """
+
+    time_s: float
+    ids: list[str]
+    x_m: Floats
+    y_m: Floats
+    heading_rad: Floats
+    speed_mps: Floats
+    length_m: Floats
+    width_m: Floats
+    lane: NDArray[np.int64]
+    """Lane index on each vehicle's own edge, 0 the rightmost."""
+    travelled_m: Floats
+    """Each vehicle's odometer: metres driven since it was inserted."""
+
+
+@dataclass(frozen=True, slots=True)
+class HostState:
+    """Where the host stands on its lane: what lane keeping and the gap gate steer by."""
+
+    speed_mps: float
+    lane: int
+    n_lanes: int
+    to_edge_end_m: float
+    """Metres to the end of the edge; no lane can be crossed beyond it."""
+    on_junction: bool
+
+
+@dataclass(frozen=True, slots=True)
+class Command:
+    """What the host's actuators do for the next `steps` SUMO steps."""
+
+    speed_mps: float
+    """Speed to approach, within the vehicle's own limits and never beyond the safe following speed."""
+    lateral_m: float = 0.0
+    """Offset from the centre of the lane the host is on, leftwards positive."""
+    to_lane: int | None = None
+    """Lane to cross into on the next step, or None."""
+    steps: int = 1
+
+
+EndReason = Literal["course", "duration", "collision", "end of road"]
+
+
+@dataclass(frozen=True, slots=True)
+class Trajectory:
+    """One episode as it was driven: decisions for the learners, steps and counts for the metrics."""
+
+    observations: Floats
+    """(n_decisions, n_features): what the supervisor saw."""
+    actions: NDArray[np.int64]
+    """(n_decisions,): the `MetaAction` it decided."""
+    speed_mps: Floats
+    """(n_steps + 1,): the host's speed at the start and after every SUMO step."""
+    lane_changing: NDArray[np.bool_]
+    """(n_steps,): whether a lane change was under way in that step."""
+    overtakes: int
+    overtaken: int
+    lane_changes: int
+    aborted_lane_changes: int
+    refused_decisions: int
+    collisions: int
+    struck: int
+    min_ttc_s: float
+    """Smallest time to collision with the vehicle ahead; inf if the host never closed in on one."""
+    end_reason: EndReason
+    seed: int
+    """Seed of the episode's traffic."""
+    network: str
+
+
+EPISODE_COLUMNS: dict[str, str] = {
+    "policy": "string",
+    "episode": "int64",
+    "seed": "int64",
+    "network": "string",
+    "duration_s": "float64",
+    "distance_m": "float64",
+    "speed_kmh": "float64",
+    "overtakes": "int64",
+    "overtaken": "int64",
+    "lane_changes": "int64",
+    "aborted_lane_changes": "int64",
+    "longitudinal_reward": "float64",
+    "lateral_reward": "float64",
+    "collisions": "int64",
+    "struck": "int64",
+    "refused_decisions": "int64",
+    "min_ttc_s": "float64",
+    "hardest_braking_mps2": "float64",
+    "end_reason": "string",
+}
+"""Columns of the `episodes` table, in order, with their pandas types."""
+
+SUMMARY_COLUMNS: dict[str, str] = {
+    "policy": "string",
+    "metric": "string",
+    "mean": "float64",
+    "iqm": "float64",
+    "low": "float64",
+    "high": "float64",
+    "ratio_to_expert": "float64",
+}
+"""Columns of the `summary` table, in order: interquartile mean with its 95 % bootstrap interval `low`..`high`."""
+
+METRICS: tuple[str, ...] = tuple(
+    name for name, kind in EPISODE_COLUMNS.items() if kind != "string" and name not in ("episode", "seed")
+)
+"""The numeric columns of `episodes` that `summary` summarises."""
