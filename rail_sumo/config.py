@@ -55,7 +55,9 @@ class Traffic(_Section):
     speed_low_kmh: Positive = 40.0
     speed_high_kmh: Positive = 70.0
     lane_change_every_s: Limit = 30.0
-    """Mean time between one vehicle's random lane changes; inf for none."""
+    """Mean time between one vehicle's tries to change lanes; inf for none."""
+    warm_up_s: NonNegative = 60.0
+    """How long the user's own demand drives before the host enters."""
 
     @model_validator(mode="after")
     def _ordered(self) -> "Traffic":

@@ -54,10 +54,21 @@ class HostState:
 
     speed_mps: float
     lane: int
-    n_lanes: int
+    rightmost_lane: int
+    leftmost_lane: int
     to_edge_end_m: float
-    """Metres to the end of the edge; no lane can be crossed beyond it."""
-    on_junction: bool
+    """Metres to the end of the edge; no lane can be crossed beyond it. 0 on a junction."""
+    lane_width_m: float
+
+
+@dataclass(frozen=True, slots=True)
+class Gaps:
+    """The gaps in a neighbouring lane, bumper to bumper; a vehicle alongside makes one negative; inf if none."""
+
+    ahead_m: float
+    ahead_speed_mps: float
+    behind_m: float
+    behind_speed_mps: float
 
 
 @dataclass(frozen=True, slots=True)
@@ -67,9 +78,9 @@ class Command:
     speed_mps: float
     """Speed to approach, within the vehicle's own limits and never beyond the safe following speed."""
     lateral_m: float = 0.0
-    """Offset from the centre of the lane the host is on, leftwards positive."""
-    to_lane: int | None = None
-    """Lane to cross into on the next step, or None."""
+    """Offset from the centre of the lane the host is on (after `cross`), leftwards positive."""
+    cross: int = 0
+    """+1 to become a vehicle of the lane to the left on the next step, -1 of the one to the right."""
     steps: int = 1
 
 

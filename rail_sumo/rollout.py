@@ -1,10 +1,18 @@
 """Task -> Trajectory, and a `map` that drives many: serial, processes, Ray."""
 
+import multiprocessing
+import signal
+from collections.abc import Callable, Iterable, Iterator
+from contextlib import contextmanager
 from dataclasses import dataclass
+from typing import Any, Literal, Protocol
 
 import numpy as np
 
+from rail_sumo import drivers
 from rail_sumo.config import Config
+from rail_sumo.errors import InputError
+from rail_sumo.highway.env import HighwayEnv
 from rail_sumo.policy import Policy, Shape, Whitening
 from rail_sumo.records import Floats, Trajectory
 
@@ -41,4 +49,66 @@ class Task:
 
 def drive(task: Task) -> Trajectory:
     """Drive one episode in this process."""
-    raise NotImplementedError
+    env = HighwayEnv(task.config, hands_off=task.driver == "sumo")
+    try:
+        driver = _driver(task)
+        observation, _ = env.reset(seed=task.seed)
+        while not env.is_over:
+            observation, _ = env.drive(driver.decide(observation, env))
+        return env.trajectory()
+    finally:
+        env.close()
+
+
+def _driver(task: Task) -> drivers.Driver:
+    if isinstance(task.driver, str):
+        return drivers.by_name(task.driver, task.config, task.seed)
+    return drivers.Learned(task.driver.policy())
+
+
+class Workers(Protocol):
+    """Anything with an ordered `map`."""
+
+    def map(self, function: Callable[[Any], Any], iterable: Iterable[Any]) -> Iterator[Any]:
+        """Return the results in the order of the iterable."""
+
+
+class _Serial:
+    map = staticmethod(map)
+
+
+class _Pool:
+    """A process pool whose `map` is lazy and ordered."""
+
+    def __init__(self, pool: Any) -> None:
+        self._pool = pool
+
+    def map(self, function: Callable[[Any], Any], iterable: Iterable[Any]) -> Iterator[Any]:
+        return self._pool.imap(function, iterable)
+
+
+@contextmanager
+def workers(number: int | Literal["ray"]) -> Iterator[Workers]:
+    """Yield something with a `map`: this process for 1, a pool of processes, or a Ray cluster's.
+
+    The pool spawns its processes, so none of them carries the parent's torch or its open simulation. They leave
+    Ctrl-C to the parent.
+    """
+    if number == 1:
+        yield _Serial()
+        return
+    if number == "ray":
+        try:
+            from ray.util.multiprocessing import Pool
+        except ImportError:
+            raise InputError("--workers ray needs Ray; install it with: pip install 'rail-sumo[ray]'") from None
+        pool = Pool()
+    else:
+        ignore = (signal.SIGINT, signal.SIG_IGN)
+        pool = multiprocessing.get_context("spawn").Pool(number, initializer=signal.signal, initargs=ignore)
+    try:
+        yield _Pool(pool)
+        pool.close()
+    finally:
+        pool.terminate()
+        pool.join()

@@ -1,0 +1,121 @@
+"""A name -> a verified file: shipped networks, demand and the expert, from a wheel or a checkout."""
+
+import hashlib
+import json
+import tomllib
+from functools import cache
+from pathlib import Path
+
+from rail_sumo.errors import InputError, did_you_mean
+
+NETWORK_SUFFIX = ".net.xml"
+ROUTES_SUFFIX = ".rou.xml"
+
+_PACKAGE = Path(__file__).parent
+
+
+def network(name_or_path: str) -> Path:
+    """Return the file of a shipped network, or the user's own file if it can be read.
+
+    Raises:
+        InputError: an unknown name (with a suggestion), no such file, or one that cannot be read.
+    """
+    return _find("network", name_or_path, NETWORK_SUFFIX, "networks")
+
+
+def routes(name_or_path: str) -> Path:
+    """Return the file of a shipped demand example, or the user's own; errors as in `network`."""
+    return _find("routes", name_or_path, ROUTES_SUFFIX, "routes")
+
+
+def network_names() -> tuple[str, ...]:
+    """Return the shipped networks' names in alphabetical order."""
+    return _names("networks", NETWORK_SUFFIX)
+
+
+def expert(filename: str) -> Path:
+    """Return a file of the shipped expert after comparing its SHA-256 with `expert/manifest.json`.
+
+    Raises:
+        InputError: not in the manifest, missing, or changed since the manifest was written.
+    """
+    folder = data_root() / "expert"
+    files = _manifest(folder / "manifest.json")
+    if filename not in files:
+        raise InputError(f"expert file '{filename}' not found{did_you_mean(filename, files)}")
+    path = _readable("expert", folder / filename)
+    found = sha256(path)
+    if found != files[filename]:
+        raise InputError(
+            f"expert file '{path}' is damaged or was changed: its SHA-256 is {found[:12]}..., the manifest says "
+            f"{files[filename][:12]}...; reinstall rail-sumo or train the expert anew (rail-sumo expert train)"
+        )
+    return path
+
+
+def sha256(path: Path) -> str:
+    """Return a file's SHA-256 in hexadecimal, as the manifest keeps it."""
+    with path.open("rb") as stream:
+        return hashlib.file_digest(stream, "sha256").hexdigest()
+
+
+@cache
+def data_root() -> Path:
+    """Return the folder that holds `networks/`, `routes/` and `expert/`: inside a wheel, or the checkout.
+
+    Raises:
+        InputError: neither is there; the installation is incomplete.
+    """
+    shipped = _PACKAGE / "_data"
+    if shipped.is_dir():
+        return shipped
+    checkout = _PACKAGE.parent
+    if _is_ours(checkout / "pyproject.toml"):
+        return checkout
+    raise InputError(f"rail-sumo's networks and expert are missing beside '{_PACKAGE}'; reinstall rail-sumo")
+
+
+def _is_ours(pyproject: Path) -> bool:
+    try:
+        project = tomllib.loads(pyproject.read_text(encoding="utf-8")).get("project", {})
+    except (OSError, tomllib.TOMLDecodeError, UnicodeDecodeError):
+        return False
+    return project.get("name") == "rail-sumo"
+
+
+def _find(kind: str, name_or_path: str, suffix: str, folder: str) -> Path:
+    names = _names(folder, suffix)
+    if name_or_path in names:
+        return _readable(kind, data_root() / folder / f"{name_or_path}{suffix}")
+    path = Path(name_or_path)
+    looks_like_a_path = "/" in name_or_path or "\\" in name_or_path or name_or_path.endswith((".xml", ".gz"))
+    if looks_like_a_path or path.is_file():
+        return _readable(kind, path)
+    raise InputError(f"{kind} '{name_or_path}' not found{did_you_mean(name_or_path, names)}")
+
+
+def _names(folder: str, suffix: str) -> tuple[str, ...]:
+    files = (data_root() / folder).glob(f"*{suffix}")
+    return tuple(sorted(path.name.removesuffix(suffix) for path in files))
+
+
+def _readable(kind: str, path: Path) -> Path:
+    try:
+        with path.open("rb"):
+            return path
+    except FileNotFoundError:
+        raise InputError(f"{kind} file '{path}' does not exist (current folder: {Path.cwd()})") from None
+    except OSError as error:
+        raise InputError(f"{kind} file '{path}' cannot be read: {error.strerror}") from None
+
+
+def _manifest(path: Path) -> dict[str, str]:
+    try:
+        files = json.loads(path.read_text(encoding="utf-8"))["files"]
+    except FileNotFoundError:
+        raise InputError(f"no expert here: '{path}' is missing; train one (rail-sumo expert train)") from None
+    except (OSError, ValueError, KeyError, TypeError) as error:
+        raise InputError(f"the expert's manifest '{path}' cannot be read: {error!r}; reinstall rail-sumo") from None
+    if not isinstance(files, dict):
+        raise InputError(f"the expert's manifest '{path}' must map file names to SHA-256 under 'files'")
+    return files

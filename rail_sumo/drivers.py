@@ -1,0 +1,140 @@
+"""Drivers that learn nothing here: keep, random, rule, SUMO's own, and the shipped expert."""
+
+import math
+from collections.abc import Sequence
+from typing import Protocol
+
+import numpy as np
+from safetensors.numpy import load_file
+
+from rail_sumo import assets
+from rail_sumo.config import Adas, Config
+from rail_sumo.errors import InputError, did_you_mean
+from rail_sumo.highway.env import HighwayEnv
+from rail_sumo.highway.observation import feature_names
+from rail_sumo.policy import Policy
+from rail_sumo.records import KMH, Floats, Gaps, MetaAction
+
+
+class Driver(Protocol):
+    """Decides from what the supervisor sees; the environment is at hand for drivers that see more."""
+
+    def decide(self, observation: Floats, env: HighwayEnv) -> int:
+        """Return the next `MetaAction`."""
+
+
+class Keep:
+    """Keeps lane and set speed."""
+
+    def decide(self, observation: Floats, env: HighwayEnv) -> int:
+        """Return KEEP."""
+        return MetaAction.KEEP
+
+
+class Random:
+    """Draws every meta-action with the same probability."""
+
+    def __init__(self, rng: np.random.Generator) -> None:
+        self._rng = rng
+
+    def decide(self, observation: Floats, env: HighwayEnv) -> int:
+        """Return any meta-action."""
+        return int(self._rng.integers(len(MetaAction)))
+
+
+class Rule:
+    """Gap acceptance on the true neighbours: speeds up when free, overtakes where another lane is faster.
+
+    A lane's worth is the speed its leader lets the host drive, a change must gain `GAIN_MPS` (the incentive and
+    switching threshold of MOBIL, Kesting, Treiber & Helbing 2007; its safety criterion is the ADAS layer's gate).
+    """
+
+    GAIN_MPS = 1.0
+    HORIZON_S = 6.0
+
+    def __init__(self, adas: Adas) -> None:
+        self._top = adas.max_speed_kmh / KMH
+
+    def decide(self, observation: Floats, env: HighwayEnv) -> int:
+        """Return the meta-action with the best prospect."""
+        host, here, left, right = env.surroundings()
+        mask = env.action_masks()
+        now = self._prospect(here)
+        sides = [(self._prospect(left), MetaAction.LEFT), (self._prospect(right), MetaAction.RIGHT)]
+        best, side = max((side for side in sides if mask[side[1]]), default=(-math.inf, MetaAction.KEEP))
+        if not env.is_changing_lane and best > now + self.GAIN_MPS:
+            return side
+        if host.speed_mps < min(now, self._top) - 0.5:
+            return MetaAction.ACCELERATE
+        return MetaAction.KEEP
+
+    def _prospect(self, gaps: Gaps) -> float:
+        """Return the mean speed the leader allows over the horizon, at most the host's top speed."""
+        return min(self._top, gaps.ahead_speed_mps + max(0.0, gaps.ahead_m) / self.HORIZON_S)
+
+
+class Expert:
+    """The shipped expert: a tanh network trained by masked PPO, driven by its most probable allowed action.
+
+    Args:
+        layers: (weights, biases) from input to output; weights of shape (n_out, n_in).
+    """
+
+    def __init__(self, layers: Sequence[tuple[Floats, Floats]]) -> None:
+        self._layers = layers
+
+    def decide(self, observation: Floats, env: HighwayEnv) -> int:
+        """Return the allowed action with the largest output."""
+        hidden = observation
+        for weights, biases in self._layers[:-1]:
+            hidden = np.tanh(weights @ hidden + biases)
+        weights, biases = self._layers[-1]
+        return int(np.where(env.action_masks(), weights @ hidden + biases, -np.inf).argmax())
+
+
+class Learned:
+    """A learned policy; it sees the observation alone."""
+
+    def __init__(self, policy: Policy) -> None:
+        self._policy = policy
+
+    def decide(self, observation: Floats, env: HighwayEnv) -> int:
+        """Return the policy's action."""
+        return self._policy(observation)
+
+
+NAMES = ("expert", "rule", "sumo", "keep", "random")
+"""Drivers by name. `sumo` keeps too: SUMO drives in its stead (`HighwayEnv(hands_off=True)`)."""
+
+
+def by_name(name: str, config: Config, seed: int) -> Driver:
+    """Return a driver for one episode; `seed` matters to the random one alone.
+
+    Raises:
+        InputError: no such driver; the expert senses something else than the configuration says.
+    """
+    match name:
+        case "keep" | "sumo":
+            return Keep()
+        case "random":
+            return Random(np.random.default_rng(seed))
+        case "rule":
+            return Rule(config.adas)
+        case "expert":
+            return load_expert(config)
+        case _:
+            raise InputError(f"driver '{name}' not found{did_you_mean(name, NAMES)}")
+
+
+def load_expert(config: Config) -> Expert:
+    """Return the shipped expert; InputError if it senses something else than the configuration says."""
+    weights = load_file(assets.expert("policy.safetensors"))
+    features = len(feature_names(config.lidar, config.observation))
+    layers = [(weights[f"{index}.weight"], weights[f"{index}.bias"]) for index in range(len(weights) // 2)]
+    trained_on = layers[0][0].shape[1]
+    if trained_on != features:
+        raise InputError(
+            f"the expert was trained on {trained_on} features, the configuration's lidar and observation give "
+            f"{features}; use the default ones or train an expert with 'rail-sumo expert train'"
+        )
+    return Expert(layers)

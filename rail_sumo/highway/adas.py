@@ -1,0 +1,189 @@
+"""The layer between the supervisor and the vehicle: a meta-action and the host's surroundings become commands.
+
+Adaptive cruise control and emergency braking are the car-following model the host's vehicle type is given (see
+`simulation`): a set speed is approached within its limits and never beyond the safe following speed. What is decided
+here is the set speed and its comfortable ramp, and the lane change: its gap gate, its lateral path, its reversal.
+"""
+
+from collections.abc import Callable
+from typing import Literal
+
+from rail_sumo import config
+from rail_sumo.records import KMH, SECONDS_PER_STEP, Command, Gaps, HostState, MetaAction
+
+LATE_LATERAL_M = 0.25
+"""How far before the border, in metres, the host becomes a vehicle of the lane it moves into. A neighbour in that lane
+sees the host only from then on, and with this margin two cars 1.8 m wide cannot have touched before."""
+GATE_TIME_S = 0.5
+"""Time gap that the gate asks for towards the vehicle ahead and from the one behind."""
+FOLLOWER_BRAKING_MPS2 = 4.5
+"""Braking that the gate may ask of the vehicle behind: SUMO's default comfortable deceleration."""
+
+SUMO_DECIDES = -1.0
+"""As a commanded speed: SUMO's own driver picks it."""
+
+Side = Literal[-1, 1]
+LEFT: Side = 1
+RIGHT: Side = -1
+
+
+class Adas:
+    """Carries meta-actions out; one instance an episode.
+
+    A lane change moves the host sideways at `lateral_speed_mps`. Until it is complete a decision for the other side
+    reverses it, and so does the layer itself while the gap closes before the host has crossed over.
+    """
+
+    def __init__(self, config: config.Adas) -> None:
+        self._config = config
+        self._set_speed = config.start_speed_kmh / KMH
+        self._side: Side | None = None  # the side of the change under way, None while keeping the lane
+        self._width = 0.0  # lateral distance from lane centre to lane centre of the change under way
+        self._moved = 0.0  # how much of it lies behind the host
+        self._crossed = False
+        self._reversing = False
+        self.lane_changes = 0
+        self.aborted_lane_changes = 0
+        self.refused_decisions = 0
+
+    @property
+    def changing_lane(self) -> bool:
+        """Whether a lane change is under way."""
+        return self._side is not None
+
+    @property
+    def side(self) -> Side | None:
+        """Where the change under way set out for: LEFT, RIGHT, or None while keeping the lane."""
+        return self._side
+
+    @property
+    def lateral_m(self) -> float:
+        """Offset from the centre of the lane the change under way set out from, leftwards positive."""
+        return 0.0 if self._side is None else self._side * self._moved
+
+    def allowed(self, host: HostState, gaps: Callable[[int], Gaps]) -> list[bool]:
+        """Return for each `MetaAction` whether it would be carried out now rather than refused or ignored."""
+        if self._side is None:
+            return [True, True, True, self._open(LEFT, host, gaps), self._open(RIGHT, host, gaps)]
+        back = not self._reversing and self._may_turn_back(host, gaps)
+        return [True, False, False, back and self._side == RIGHT, back and self._side == LEFT]
+
+    def decide(self, action: MetaAction, host: HostState, gaps: Callable[[int], Gaps]) -> None:
+        """Take one decision of the supervisor; one that cannot be carried out safely is refused and counted."""
+        step = self._config.speed_step_kmh / KMH
+        if action is MetaAction.ACCELERATE:
+            self._set_speed = self._clip(host.speed_mps + step)
+        elif action is MetaAction.DECELERATE:
+            self._set_speed = self._clip(host.speed_mps - step)
+        elif action is not MetaAction.KEEP:
+            self._steer(LEFT if action is MetaAction.LEFT else RIGHT, host, gaps)
+
+    def command(self, host: HostState, gaps: Callable[[int], Gaps], *, steps: int) -> Command:
+        """Return what to do next, for at most `steps` steps: as many as need no fresh look."""
+        speed = max(self._set_speed, host.speed_mps - self._config.comfort_braking_mps2 * SECONDS_PER_STEP)
+        if self._side is not None:
+            return self._sideways(self._side, speed, host, gaps)
+        return Command(speed, steps=steps if speed == self._set_speed else 1)
+
+    def _clip(self, speed_mps: float) -> float:
+        return min(max(speed_mps, self._config.min_speed_kmh / KMH), self._config.max_speed_kmh / KMH)
+
+    def _steer(self, side: Side, host: HostState, gaps: Callable[[int], Gaps]) -> None:
+        if self._side is None:
+            if self._open(side, host, gaps):
+                self._side, self._width, self._moved = side, host.lane_width_m, 0.0
+                self._crossed = self._reversing = False
+            else:
+                self.refused_decisions += 1
+        elif (side == self._side) == self._reversing:  # the decision turns the movement round
+            if self._reversing:
+                self.refused_decisions += 1  # a reversed change runs to its end
+            elif self._may_turn_back(host, gaps):
+                self._reversing = True
+            else:
+                self.refused_decisions += 1
+
+    def _open(self, side: Side, host: HostState, gaps: Callable[[int], Gaps]) -> bool:
+        """Whether a change to this side may begin: there is a lane, road enough to cross over, and a gap."""
+        seconds = host.lane_width_m / self._config.lateral_speed_mps
+        if not host.rightmost_lane <= host.lane + side <= host.leftmost_lane:
+            return False
+        if host.to_edge_end_m < host.speed_mps * seconds:
+            return False
+        return self._safe(host.speed_mps, gaps(side))
+
+    def _may_turn_back(self, host: HostState, gaps: Callable[[int], Gaps]) -> bool:
+        if not self._crossed:
+            return True
+        assert self._side is not None
+        room = host.to_edge_end_m > host.speed_mps * self._width / self._config.lateral_speed_mps
+        return room and self._safe(host.speed_mps, gaps(-self._side))
+
+    def _safe(self, speed_mps: float, gap: Gaps) -> bool:
+        """The gate: nobody has to brake harder than it can, the host behind its leader, the follower behind the host.
+
+        Each gap must hold the standstill gap, `GATE_TIME_S` of reaction and the difference of the stopping
+        distances v^2 / (2 b) when the one behind is the faster (Gipps 1981).
+        """
+        closing = max(0.0, speed_mps**2 - gap.ahead_speed_mps**2) / (2 * self._config.emergency_braking_mps2)
+        ahead = self._config.standstill_gap_m + GATE_TIME_S * speed_mps + closing
+        closing = max(0.0, gap.behind_speed_mps**2 - speed_mps**2) / (2 * FOLLOWER_BRAKING_MPS2)
+        behind = self._config.standstill_gap_m + GATE_TIME_S * gap.behind_speed_mps + closing
+        return gap.ahead_m >= ahead and gap.behind_m >= behind
+
+    def _sideways(self, side: Side, speed: float, host: HostState, gaps: Callable[[int], Gaps]) -> Command:
+        """One step of the change under way."""
+        if not self._crossed and not self._reversing and not self._safe(host.speed_mps, gaps(side)):
+            self._reversing = True
+        stride = self._config.lateral_speed_mps * SECONDS_PER_STEP
+        self._moved = min(max(self._moved + (-stride if self._reversing else stride), 0.0), self._width)
+        cross = self._cross(side)
+        lateral = side * (self._moved - (self._width if self._crossed else 0.0))
+        if self._moved == (0.0 if self._reversing else self._width):
+            if self._reversing:
+                self.aborted_lane_changes += 1
+            else:
+                self.lane_changes += 1
+            self._side = None
+        return Command(speed, lateral, cross)
+
+    def _cross(self, side: Side) -> int:
+        """Cross over a little before the border, in either direction of travel."""
+        if not self._crossed and not self._reversing and self._moved >= self._width / 2 - LATE_LATERAL_M:
+            self._crossed = True
+            return side
+        if self._crossed and self._reversing and self._moved <= self._width / 2 + LATE_LATERAL_M:
+            self._crossed = False
+            return -side
+        return 0
+
+
+class HandsOff:
+    """Stands in for `Adas` when SUMO's own driver drives: gives no orders, only counts SUMO's lane changes.
+
+    SUMO changes lanes within one step, so each counts one step as under way.
+    """
+
+    lateral_m = 0.0
+    aborted_lane_changes = 0
+    refused_decisions = 0
+
+    def __init__(self) -> None:
+        self.changing_lane = False
+        self.lane_changes = 0
+        self._last: HostState | None = None
+
+    def allowed(self, host: HostState, gaps: Callable[[int], Gaps]) -> list[bool]:
+        """Return that only keeping is allowed: no decision is carried out."""
+        return [True, False, False, False, False]
+
+    def decide(self, action: MetaAction, host: HostState, gaps: Callable[[int], Gaps]) -> None:
+        """Ignore the decision."""
+
+    def command(self, host: HostState, gaps: Callable[[int], Gaps], *, steps: int) -> Command:
+        """Return one step of SUMO's own driving."""
+        last, self._last = self._last, host
+        same_edge = last is not None and host.to_edge_end_m <= last.to_edge_end_m
+        self.changing_lane = last is not None and same_edge and host.lane != last.lane
+        self.lane_changes += self.changing_lane
+        return Command(SUMO_DECIDES)

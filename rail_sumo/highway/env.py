@@ -1,0 +1,238 @@
+"""The Gymnasium environment that closes the circle; it has no logic of its own."""
+
+import math
+from typing import Any
+
+import gymnasium
+import numpy as np
+from gymnasium import spaces
+
+from rail_sumo.config import Config
+from rail_sumo.errors import InputError
+from rail_sumo.highway import road
+from rail_sumo.highway.adas import Adas, HandsOff
+from rail_sumo.highway.lidar import Boxes, Lidar
+from rail_sumo.highway.observation import Layout
+from rail_sumo.highway.passing import PassCounter
+from rail_sumo.highway.reward import reward
+from rail_sumo.highway.simulation import Simulation
+from rail_sumo.highway.traffic import Demand, MovingWindow, Traffic
+from rail_sumo.records import KMH, SECONDS_PER_STEP, EndReason, Floats, Gaps, HostState, MetaAction, Scene, Trajectory
+
+WINDOW_MARGIN_M = 50.0
+"""Room beyond the traffic window: before the road's start and end, and (twice) to still see who has just left it."""
+DEMAND_START_M = 10.0
+"""Place on the course where the host enters the user's own traffic."""
+
+
+class HighwayEnv(gymnasium.Env[Floats, np.int64]):
+    """One host vehicle on a highway; a step is one decision of its supervisor.
+
+    Observation: the LIDAR scan, named by `highway.observation.feature_names`. Actions: `MetaAction`. Reward:
+    `highway.reward`. Terminates on a collision of the host, truncates at the end of the course, the duration or the
+    road. libsumo holds one simulation a process, so an instance takes it over at `reset` and frees it at `close`.
+
+    Args:
+        config: the world; the default one without it.
+        hands_off: leave the host to SUMO's own driver and ignore the actions.
+    """
+
+    metadata = {"render_modes": []}  # noqa: RUF012  gymnasium reads it from the class
+
+    def __init__(self, config: Config | None = None, *, hands_off: bool = False) -> None:
+        self.config = config or Config()
+        self._hands_off = hands_off
+        self._road = road.load(self.config.network.file)
+        self._demand = road.check_demand(self.config.traffic.routes)
+        lidar = self.config.lidar
+        self._lidar = Lidar(lidar.n_rays, lidar.max_range_m, self._road.boundaries if lidar.road_edges else None)
+        self._layout = Layout(lidar, self.config.observation)
+        self.observation_space = spaces.Box(-math.inf, math.inf, (self._layout.n_features,), np.float64)
+        self.action_space = spaces.Discrete(len(MetaAction))
+        self._period_steps = round(self.config.episode.decision_period_s / SECONDS_PER_STEP)
+        self._simulation: Simulation | None = None
+
+    def reset(self, *, seed: int | None = None, options: dict[str, Any] | None = None) -> tuple[Floats, dict[str, Any]]:
+        """Begin an episode; the same seed gives the same traffic."""
+        super().reset(seed=seed)
+        self.close()
+        self._seed = int(self.np_random.integers(2**31)) if seed is None else seed
+        self._adas = HandsOff() if self._hands_off else Adas(self.config.adas)
+        self._passes = PassCounter()
+        self._layout.reset()
+        self._overtakes = self._overtaken = 0
+        self._observations: list[Floats] = []
+        self._actions: list[int] = []
+        self._lane_changing: list[bool] = []
+        self._end: EndReason | None = None
+        self._open(np.random.default_rng(self._seed))
+        return self._look(0), {}
+
+    def _open(self, rng: np.random.Generator) -> None:
+        """Put the host and its traffic on the road."""
+        traffic, adas = self.config.traffic, self.config.adas
+        start_m = DEMAND_START_M if self._demand else traffic.behind_m + WINDOW_MARGIN_M
+        place = self._road.place(start_m)
+        if place is None:
+            raise InputError(
+                f"network '{self._road.name}': the course is {self._road.length_m:.0f} m long and the host starts at "
+                f"{start_m:.0f} m; use a longer course or a smaller traffic.behind_m"
+            )
+        simulation = self._simulation = Simulation(
+            self._road,
+            routes=self._demand,
+            adas=adas,
+            seed=self._seed,
+            context_m=max(traffic.ahead_m, traffic.behind_m) + 2 * WINDOW_MARGIN_M,
+        )
+        edge = self._road.edges[place[0]]
+        lane = edge.first_lane + int(rng.integers(edge.n_lanes))
+        edges = self._road.laps(place[0], self.config.episode.course_m + 2 * self._road.length_m)
+        if self._demand:
+            self._traffic: Traffic = Demand()
+            simulation.run_without_host(traffic.warm_up_s)
+        else:
+            window = MovingWindow(simulation, self._road, traffic, host_s_m=start_m, rng=rng)
+            window.fill(lane)
+            self._traffic = window
+        simulation.add_host(edges, lane=lane, front_m=place[1], speed_mps=adas.start_speed_kmh / KMH)
+        simulation.wait_for_host()
+        if self._hands_off:
+            simulation.hand_over()
+        self._end_m = self.config.episode.course_m
+        self._road_end_m = math.inf if self._road.is_loop else self._road.length_m - start_m - WINDOW_MARGIN_M
+
+    def step(self, action: int | np.int64) -> tuple[Floats, float, bool, bool, dict[str, Any]]:
+        """Take one decision and drive until the next falls due."""
+        before = (self._overtakes, self._overtaken, self._adas.refused_decisions)
+        observation, driven = self.drive(int(action))
+        assert self._simulation is not None
+        earned = reward(
+            np.array(self._simulation.speeds_mps[-driven:]),
+            np.array(self._lane_changing[-driven:]),
+            self.config.adas,
+            overtakes=self._overtakes - before[0],
+            overtaken=self._overtaken - before[1],
+            refused_decisions=self._adas.refused_decisions - before[2],
+            collisions=int(self._end == "collision"),
+        )
+        crashed = self._end == "collision"
+        return observation, earned, crashed, self._end is not None and not crashed, {}
+
+    def drive(self, action: int) -> tuple[Floats, int]:
+        """Take one decision and drive until the next falls due; returns the next observation and the steps driven."""
+        simulation, adas = self._simulation, self._adas
+        if simulation is None or self._end is not None:
+            raise RuntimeError("the episode is over; call reset()")
+        self._observations.append(self._observation)
+        self._actions.append(action)
+        host = simulation.host()
+        adas.decide(MetaAction(action), host, simulation.gaps)
+        driven = 0
+        while driven < self._period_steps:
+            was_changing = adas.changing_lane
+            command = adas.command(host, simulation.gaps, steps=self._period_steps - driven)
+            steps = simulation.run(command)
+            driven += steps
+            self._lane_changing += [was_changing] * steps
+            if simulation.contact or (was_changing and not adas.changing_lane):
+                break
+            host = simulation.host()
+        return self._look(driven), driven
+
+    def _look(self, driven: int) -> Floats:
+        """Sense, let the traffic come and go, and see whether the episode is over."""
+        simulation, adas = self._simulation, self._adas
+        assert simulation is not None
+        scene = simulation.scene()
+        overtakes, overtaken = self._passes.update(scene)
+        self._overtakes += overtakes
+        self._overtaken += overtaken
+        self._scene = scene
+        self._end = self._why_over(scene)
+        self._traffic.update(scene, elapsed_s=driven * SECONDS_PER_STEP, host_changing_lane=adas.changing_lane)
+        self._observation = self._layout.observe(
+            *self._scan(scene), speed_mps=scene.speed_mps[0], lateral_m=adas.lateral_m
+        )
+        return self._observation
+
+    def _scan(self, scene: Scene) -> tuple[Floats, Floats]:
+        return self._lidar.scan(
+            scene.x_m[0],
+            scene.y_m[0],
+            scene.heading_rad[0],
+            scene.speed_mps[0],
+            Boxes(
+                scene.x_m[1:],
+                scene.y_m[1:],
+                scene.heading_rad[1:],
+                scene.speed_mps[1:],
+                scene.length_m[1:],
+                scene.width_m[1:],
+            ),
+        )
+
+    def _why_over(self, scene: Scene) -> EndReason | None:
+        assert self._simulation is not None
+        if self._simulation.contact:
+            return "collision"
+        if scene.travelled_m[0] >= self._end_m:
+            return "course"
+        if len(self._lane_changing) * SECONDS_PER_STEP >= self.config.episode.duration_s:
+            return "duration"
+        return "end of road" if scene.travelled_m[0] >= self._road_end_m else None
+
+    @property
+    def scene(self) -> Scene:
+        """The host and the vehicles around it at the last decision."""
+        return self._scene
+
+    @property
+    def is_over(self) -> bool:
+        """Whether the episode has ended."""
+        return self._end is not None
+
+    @property
+    def is_changing_lane(self) -> bool:
+        """Whether a lane change is under way."""
+        return self._adas.changing_lane
+
+    def action_masks(self) -> list[bool]:
+        """Return for each meta-action whether the ADAS layer would carry it out now (sb3-contrib's name for it)."""
+        assert self._simulation is not None
+        return self._adas.allowed(self._simulation.host(), self._simulation.gaps)
+
+    def surroundings(self) -> tuple[HostState, Gaps, Gaps, Gaps]:
+        """Return the host's state and the true gaps in its own lane, to its left and to its right."""
+        assert self._simulation is not None
+        return self._simulation.host(), *(self._simulation.gaps(side) for side in (0, 1, -1))
+
+    def trajectory(self) -> Trajectory:
+        """Return the episode so far."""
+        assert self._simulation is not None
+        return Trajectory(
+            observations=np.array(self._observations),
+            actions=np.array(self._actions, dtype=np.int64),
+            speed_mps=np.array(self._simulation.speeds_mps),
+            lane_changing=np.array(self._lane_changing, dtype=np.bool_),
+            overtakes=self._overtakes,
+            overtaken=self._overtaken,
+            lane_changes=self._adas.lane_changes,
+            aborted_lane_changes=self._adas.aborted_lane_changes,
+            refused_decisions=self._adas.refused_decisions,
+            collisions=self._simulation.collisions,
+            struck=self._simulation.struck,
+            min_ttc_s=self._simulation.min_ttc_s,
+            end_reason=self._end or "duration",
+            seed=self._seed,
+            network=self._road.name,
+        )
+
+    def close(self) -> None:
+        """Free the process's simulation; harmless when none is open."""
+        if self._simulation is not None:
+            self._simulation.close()
+            self._simulation = None
+
+
+gymnasium.register("RailSumo/Highway-v0", entry_point=HighwayEnv)

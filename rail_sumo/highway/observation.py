@@ -1,0 +1,56 @@
+"""The policy's input vector, laid out and named."""
+
+from collections import deque
+
+import numpy as np
+
+from rail_sumo import config
+from rail_sumo.records import Floats
+
+
+def feature_names(lidar: config.Lidar, observation: config.Observation) -> list[str]:
+    """Return the name of every feature, units included, oldest frame last."""
+    frame = [f"distance_{ray}_m" for ray in range(lidar.n_rays)]
+    frame += [f"relative_speed_{ray}_mps" for ray in range(lidar.n_rays)]
+    if observation.host_speed:
+        frame.append("host_speed_mps")
+    if observation.lateral_state:
+        frame.append("lateral_m")
+    ages = ["" if age == 0 else f"_{age}_ago" for age in range(observation.frames)]
+    return [name + age for age in ages for name in frame]
+
+
+class Layout:
+    """Builds observations of shape (len(feature_names),); the first of an episode fills every frame."""
+
+    def __init__(self, lidar: config.Lidar, observation: config.Observation) -> None:
+        self.n_features = len(feature_names(lidar, observation))
+        self._observation = observation
+        self._frames: deque[Floats] = deque(maxlen=observation.frames)
+
+    def reset(self) -> None:
+        """Forget the frames of the last episode."""
+        self._frames.clear()
+
+    def observe(
+        self, distance_m: Floats, relative_speed_mps: Floats, *, speed_mps: float, lateral_m: float
+    ) -> Floats:
+        """Return the observation after one more scan.
+
+        Args:
+            distance_m, relative_speed_mps: the scan, each of shape (n_rays,).
+            speed_mps: the host's speed.
+            lateral_m: its offset from the centre of the lane it started its lane change on, leftwards positive.
+        """
+        parts = [distance_m, relative_speed_mps]
+        if self._observation.host_speed:
+            parts.append(np.array([speed_mps]))
+        if self._observation.lateral_state:
+            parts.append(np.array([lateral_m]))
+        frame = np.concatenate(parts)
+        if self._observation.frames == 1:
+            return frame
+        self._frames.appendleft(frame)
+        while len(self._frames) < self._observation.frames:
+            self._frames.append(frame)
+        return np.concatenate(self._frames)

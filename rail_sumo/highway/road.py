@@ -1,0 +1,343 @@
+"""What a network says: the course the host drives, its lanes and its borders. Read with sumolib, without libsumo."""
+
+import gzip
+import itertools
+import math
+import xml.etree.ElementTree as ElementTree
+import xml.sax
+import zlib
+from bisect import bisect_right
+from collections.abc import Iterable, Iterator
+from dataclasses import dataclass
+from functools import cached_property, lru_cache
+from io import BufferedIOBase
+from pathlib import Path
+from statistics import fmean
+from typing import Any
+
+import numpy as np
+import sumolib.net
+
+from rail_sumo import assets
+from rail_sumo.config import Episode
+from rail_sumo.errors import InputError
+from rail_sumo.records import Floats
+
+CAR = "passenger"
+"""The vehicle class that must be allowed on the course."""
+
+NARROWEST_LANE_M = 2.4
+"""A car of 1.8 m with 0.3 m to either side."""
+
+SAME_POINT_M = 0.05
+"""Points of a border closer than this are one; netconvert rounds to 0.01 m."""
+
+_UNREADABLE = (xml.sax.SAXParseException, ElementTree.ParseError, zlib.error, EOFError, OSError)
+
+
+@dataclass(frozen=True, slots=True)
+class Edge:
+    """One edge of the course; lanes are those open to cars, numbered from the right."""
+
+    id: str
+    length_m: float
+    n_lanes: int
+    speed_limit_mps: float
+    first_lane: int = 0
+    """SUMO's index of the rightmost lane open to cars: above 0 beside a pavement or a bus lane."""
+    narrowest_lane_m: float = 3.2
+    ending_lanes: tuple[int, ...] = ()
+    """SUMO's indices of the lanes that do not lead to the next edge of the course."""
+
+
+@dataclass(frozen=True, eq=False)
+class Road:
+    """The course of one network: a chain of edges to drive one after the other, or a loop of them.
+
+    A place on the course is its distance s, in metres, from the start of the first edge, junctions included.
+    """
+
+    net_file: Path
+    name: str
+    edges: tuple[Edge, ...]
+    junctions_m: tuple[float, ...]
+    """How long the way through the junction after each edge is; after a chain's last edge 0."""
+    is_loop: bool
+    boundaries: Floats
+    """(n_segments, 4): x1, y1, x2, y2 of the course's outer borders, in metres, read-only."""
+
+    @property
+    def length_m(self) -> float:
+        """Length of the course, one lap of a loop, the ways through its junctions included."""
+        return self._starts_m[-1]
+
+    @cached_property
+    def _starts_m(self) -> tuple[float, ...]:
+        # Where each edge starts, and at last where the course ends.
+        strides = (edge.length_m + junction for edge, junction in zip(self.edges, self.junctions_m, strict=True))
+        return tuple(itertools.accumulate(strides, initial=0.0))
+
+    def place(self, s_m: float) -> tuple[int, float] | None:
+        """Return (index into `edges`, metres from that edge's start) of a place on the course.
+
+        A loop wraps. A place inside a junction becomes the start of the edge after it; one beyond either end of a
+        chain is None.
+        """
+        if self.is_loop:
+            s_m %= self.length_m
+        if not 0.0 <= s_m <= self.length_m:
+            return None
+        index = min(bisect_right(self._starts_m, s_m), len(self.edges)) - 1
+        along = s_m - self._starts_m[index]
+        if along > self.edges[index].length_m and (self.is_loop or index + 1 < len(self.edges)):
+            return (index + 1) % len(self.edges), 0.0
+        return index, along
+
+    def laps(self, first_index: int, distance_m: float) -> tuple[str, ...]:
+        """Return the ids of the edges from `edges[first_index]` on that together are at least `distance_m` long.
+
+        Goes round a loop as often as needed; on a chain stops at its end.
+        """
+        following = self.edges[first_index:]
+        ahead: Iterable[Edge] = itertools.chain(following, itertools.cycle(self.edges)) if self.is_loop else following
+        ids, covered_m = [], 0.0
+        for edge in ahead:
+            ids.append(edge.id)
+            covered_m += edge.length_m
+            if covered_m >= distance_m:
+                break
+        return tuple(ids)
+
+
+@dataclass(frozen=True, slots=True)
+class Check:
+    """What `rail-sumo network check` tells of a network."""
+
+    road: Road
+    warnings: tuple[str, ...]
+
+
+def load(file: str) -> Road:
+    """Read a network, a shipped one's name or a `.net.xml`, and choose the course.
+
+    The course is the longest chain of edges with two or more lanes for cars in which each edge is followed by the one
+    that its most lanes lead straight on to; a loop counts twice its length, since it never ends. Equal chains are told
+    apart by their edges' ids, so the choice depends on the file alone.
+
+    Raises:
+        InputError: no such file, not a SUMO network, a truncated one, or one without a place to change lanes.
+    """
+    return _load(assets.network(file))
+
+
+def check(file: str, course_m: float = Episode().course_m) -> Check:
+    """Read a network and warn of what makes it a poor course of `course_m`; errors as in `load`."""
+    road = load(file)
+    return Check(road, tuple(_warnings(road, course_m)))
+
+
+def check_demand(files: Iterable[str]) -> tuple[Path, ...]:
+    """Return the files of a demand, each a shipped example's name or a path, after reading them.
+
+    Raises:
+        InputError: no such file, not XML, or no vehicle, flow or trip in any of them.
+    """
+    paths = tuple(assets.routes(file) for file in files)
+    found = set().union(*(_elements(path) for path in paths))
+    if paths and not found & {"vehicle", "flow", "trip"}:
+        names = "', '".join(map(str, paths))
+        raise InputError(f"demand '{names}' has no <vehicle>, <flow> or <trip>; rail-sumo needs traffic to drive in")
+    return paths
+
+
+@lru_cache(maxsize=32)
+def _load(path: Path) -> Road:
+    net = _read(path)
+    course, is_loop = _course(net, path)
+    joints = [_joint(here, ahead) for here, ahead in itertools.pairwise(course)]
+    joints.append(_joint(course[-1], course[0]) if is_loop else [])
+    boundaries = np.concatenate([_border(net, course, joints, is_loop, side) for side in ("right", "left")])
+    boundaries.setflags(write=False)
+    return Road(
+        net_file=path,
+        name=path.name.removesuffix(".gz").removesuffix(assets.NETWORK_SUFFIX),
+        edges=tuple(_edge(edge, joint) for edge, joint in zip(course, joints, strict=True)),
+        junctions_m=tuple(_through_m(net, joint) for joint in joints),
+        is_loop=is_loop,
+        boundaries=boundaries,
+    )
+
+
+def _warnings(road: Road, course_m: float) -> Iterator[str]:
+    if not road.is_loop and road.length_m < course_m:
+        yield (
+            f"the course is {road.length_m:.0f} m long, episodes of {course_m:.0f} m will end at the end of the road; "
+            f"set episode.course_m below it"
+        )
+    for edge in road.edges:
+        if edge.ending_lanes:
+            lanes = ", ".join(map(str, edge.ending_lanes))
+            yield f"lane {lanes} of edge '{edge.id}' does not lead on along the course; the host must leave it in time"
+        if edge.narrowest_lane_m < NARROWEST_LANE_M:
+            yield (
+                f"edge '{edge.id}' has a lane of {edge.narrowest_lane_m:.2f} m; below {NARROWEST_LANE_M} m a car has "
+                f"no margin beside it"
+            )
+
+
+def _open(path: Path) -> BufferedIOBase:
+    return gzip.open(path) if path.suffix == ".gz" else path.open("rb")
+
+
+def _read(path: Path) -> Any:
+    # Not sumolib.net.readNet: it picks another parser when lxml is installed and leaves files open after an error.
+    reader = sumolib.net.NetReader(withInternal=True, withFoes=False)
+    try:
+        with _open(path) as stream:
+            xml.sax.parse(stream, reader)
+    except _UNREADABLE as error:
+        raise InputError(f"network '{path.name}' is not a complete XML file: {_reason(error)}") from None
+    except Exception as error:  # whatever sumolib stumbles over in a file that is XML but not a network
+        raise InputError(f"network '{path.name}' is not a SUMO network: {error!r}") from None
+    net = reader.getNet()
+    if not net.getEdges(withInternal=False):
+        raise InputError(f"network '{path.name}' has no edges; rail-sumo reads SUMO's .net.xml")
+    return net
+
+
+def _reason(error: Exception) -> str:
+    if isinstance(error, xml.sax.SAXParseException):
+        return f"{error.getMessage()} in line {error.getLineNumber()}"
+    return str(error)
+
+
+def _elements(path: Path) -> set[str]:
+    names = set()
+    try:
+        with _open(path) as stream:
+            for _, element in ElementTree.iterparse(stream):
+                names.add(element.tag)
+                element.clear()
+    except _UNREADABLE as error:
+        raise InputError(f"demand '{path}' is not a complete XML file: {error}") from None
+    return names
+
+
+def _lanes(edge: Any) -> list[Any]:
+    # The lanes open to cars: the widest group without a closed lane in between, the rightmost such.
+    groups = itertools.groupby(edge.getLanes(), key=lambda lane: lane.allows(CAR))
+    return max((list(lanes) for is_open, lanes in groups if is_open), key=len, default=[])
+
+
+def _joint(here: Any, ahead: Any) -> list[Any]:
+    # The connections that lead a car from one edge to the next, from right to left.
+    start, end = _lanes(here), _lanes(ahead)
+    connections = [c for c in here.getConnections(ahead) if c.getFromLane() in start and c.getToLane() in end]
+    return sorted(connections, key=lambda c: (c.getFromLane().getIndex(), c.getToLane().getIndex()))
+
+
+def _course(net: Any, path: Path) -> tuple[list[Any], bool]:
+    drivable = {edge for edge in net.getEdges(withInternal=False) if len(_lanes(edge)) >= 2}
+    if not drivable:
+        raise InputError(
+            f"network '{path.name}' has no drivable edge with two or more lanes; "
+            f"rail-sumo needs a place to change lanes"
+        )
+    following = {edge: _next(edge, drivable) for edge in drivable}
+    chains = itertools.chain.from_iterable(_chains(edge, following) for edge in drivable)
+    return min(chains, key=_rank)
+
+
+def _next(edge: Any, drivable: set[Any]) -> Any | None:
+    choices = []
+    for ahead in edge.getOutgoing():
+        joint = [c for c in _joint(edge, ahead) if c.getDirection() != c.LINKDIR_TURN] if ahead in drivable else []
+        if joint:
+            is_straight = any(c.getDirection() == c.LINKDIR_STRAIGHT for c in joint)
+            choices.append((not is_straight, -len({c.getFromLane() for c in joint}), ahead.getID(), ahead))
+    return min(choices)[-1] if choices else None
+
+
+def _chains(first: Any, following: dict[Any, Any | None]) -> Iterator[tuple[list[Any], bool]]:
+    # The chain from an edge on; and where it runs into a loop, the loop alone.
+    places: dict[Any, int] = {}
+    edge: Any | None = first
+    while edge is not None and edge not in places:
+        places[edge] = len(places)
+        edge = following[edge]
+    chain = list(places)
+    if edge is not first:
+        yield chain, False
+    if edge is not None:
+        yield chain[places[edge] :], True
+
+
+def _rank(candidate: tuple[list[Any], bool]) -> tuple[float, list[str]]:
+    chain, is_loop = candidate
+    length_m = math.fsum(edge.getLength() for edge in chain)  # exact: the same loop is as long from every edge
+    return -length_m * (2 if is_loop else 1), [edge.getID() for edge in chain]
+
+
+def _edge(edge: Any, joint: list[Any]) -> Edge:
+    lanes = _lanes(edge)
+    leading_on = {c.getFromLane() for c in joint}
+    return Edge(
+        id=edge.getID(),
+        length_m=edge.getLength(),
+        n_lanes=len(lanes),
+        speed_limit_mps=min(lane.getSpeed() for lane in lanes),
+        first_lane=lanes[0].getIndex(),
+        narrowest_lane_m=min(lane.getWidth() for lane in lanes),
+        ending_lanes=tuple(lane.getIndex() for lane in lanes if lane not in leading_on) if joint else (),
+    )
+
+
+def _inside(net: Any, connection: Any) -> Iterator[Any]:
+    # The lanes within the junction that a connection runs over; none in networks built without them.
+    while connection.getViaLaneID():
+        lane = net.getLane(connection.getViaLaneID())
+        yield lane
+        connection = lane.getOutgoing()[0]
+
+
+def _through_m(net: Any, joint: list[Any]) -> float:
+    ways = [sum(lane.getLength() for lane in _inside(net, connection)) for connection in joint]
+    return fmean(ways) if ways else 0.0
+
+
+def _border(net: Any, course: list[Any], joints: list[list[Any]], is_loop: bool, side: str) -> Floats:
+    outermost = 0 if side == "right" else -1
+    sign = -1.0 if side == "right" else 1.0
+    points: list[Floats] = []
+    for edge, joint in zip(course, joints, strict=True):
+        inside = _inside(net, joint[outermost]) if joint else ()
+        for lane in (_lanes(edge)[outermost], *inside):
+            shape = np.array(lane.getShape(), dtype=np.float64)
+            points.extend(offset(shape, sign * lane.getWidth() / 2))
+    line = _distinct(np.array(points))
+    if is_loop:
+        line = np.vstack([line, line[:1]])
+    return np.hstack([line[:-1], line[1:]])
+
+
+def offset(line: Floats, leftwards_m: float) -> Floats:
+    """Return a polyline of shape (n_points, 2) moved sideways, its corners mitred; left of its direction is positive.
+
+    A line without any extent has no side and comes back as it is. Corners sharper than about 130 degrees are cut.
+    """
+    line = _distinct(line)
+    if len(line) < 2:
+        return line
+    along = np.diff(line, axis=0)
+    along /= np.hypot(along[:, 0], along[:, 1])[:, None]
+    left = np.column_stack([-along[:, 1], along[:, 0]])
+    before, after = np.vstack([left[:1], left]), np.vstack([left, left[-1:]])
+    # At a corner both sides move by the offset: the mitre is (n1 + n2) / (1 + n1.n2).
+    cosine = (before * after).sum(axis=1, keepdims=True)
+    return line + leftwards_m * (before + after) / np.maximum(1.0 + cosine, 0.35)
+
+
+def _distinct(line: Floats) -> Floats:
+    kept = [line[0]]
+    kept.extend(point for point in line[1:] if np.hypot(*(point - kept[-1])) > SAME_POINT_M)
+    return np.array(kept)

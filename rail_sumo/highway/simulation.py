@@ -1,0 +1,307 @@
+"""The one libsumo process: Scene out, Command in. Every SUMO fact is converted once, here."""
+
+import math
+from collections.abc import Sequence
+from pathlib import Path
+
+import libsumo
+import numpy as np
+from libsumo import constants
+
+from rail_sumo import config
+from rail_sumo.errors import InputError
+from rail_sumo.highway.road import Road
+from rail_sumo.records import KMH, SECONDS_PER_STEP, Command, Gaps, HostState, Scene
+
+HOST = "host"
+HOST_TYPE = "rail_sumo_host"
+TRAFFIC_TYPE = "rail_sumo_traffic"
+
+RESPECT_OTHERS_GAPS = 512
+"""Lane-change mode: no change of its own accord; a commanded one waits for a gap that is safe to others."""
+COMMANDED_ONLY = 256
+"""Lane-change mode of the host: no change of its own accord; the ADAS layer is the gate, SUMO only avoids overlap."""
+
+SUMO_CHANGES_LANES = 1621
+"""SUMO's default lane-change mode."""
+
+WAIT_S = 120.0
+LEADER_RANGE_M = 100.0
+NO_GAP = Gaps(math.inf, 0.0, math.inf, 0.0)
+
+_IN_CONTEXT = (
+    constants.VAR_POSITION,
+    constants.VAR_ANGLE,
+    constants.VAR_SPEED,
+    constants.VAR_LANE_INDEX,
+    constants.VAR_DISTANCE,
+)
+
+
+class Simulation:
+    """SUMO on one network with one host vehicle.
+
+    libsumo holds one simulation a process, so a second one is refused while the first is open. Close it, or use it as
+    a context manager.
+
+    Args:
+        road: the network and the host's course on it.
+        routes: the user's demand files.
+        adas: limits of the host's own car-following (ACC and AEB).
+        seed: SUMO's seed.
+        context_m: radius around the host within which a `Scene` shows vehicles.
+
+    Raises:
+        RuntimeError: a simulation is already running in this process.
+        InputError: SUMO cannot load the network or the demand.
+    """
+
+    _running = False
+
+    def __init__(
+        self,
+        road: Road,
+        *,
+        routes: Sequence[Path] = (),
+        adas: config.Adas,
+        seed: int,
+        context_m: float,
+        outputs: Sequence[str] = (),
+    ) -> None:
+        if Simulation._running:
+            raise RuntimeError(
+                "a simulation is already running in this process and libsumo holds only one; "
+                "close it, or drive episodes in worker processes"
+            )
+        self._adas = adas
+        self._context_m = context_m
+        self._sizes: dict[str, tuple[float, float]] = {}
+        self._routes: dict[tuple[str, ...], str] = {}
+        self._edges = {edge.id: edge for edge in road.edges}
+        self.speeds_mps: list[float] = []
+        self._lateral_m = 0.0
+        self.collisions = 0
+        self.struck = 0
+        self.min_ttc_s = math.inf
+        _start(
+            [
+                *("--net-file", str(road.net_file)),
+                *(("--route-files", ",".join(map(str, routes))) if routes else ()),
+                *("--step-length", str(SECONDS_PER_STEP), "--seed", str(seed)),
+                *("--collision.action", "warn", "--collision.mingap-factor", "0", "--time-to-teleport", "-1"),
+                *("--no-step-log", "true", "--no-warnings", "true", "--xml-validation", "never"),
+                *outputs,
+            ]
+        )
+        Simulation._running = True
+        self._define_types()
+
+    def __enter__(self) -> "Simulation":
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self.close()
+
+    def close(self) -> None:
+        """End the simulation; harmless when it has ended."""
+        if Simulation._running:
+            libsumo.close()
+            Simulation._running = False
+
+    def _define_types(self) -> None:
+        """Give the host car-following that brakes safely and never harder than it may.
+
+        Krauss without imperfection, a deceleration as hard as emergency braking, and others told to expect a
+        comfortable one. SUMO never exceeds `decel` under setSpeed in the default speed mode, and this model needs no
+        more to stay clear of a leader that brakes as hard.
+        """
+        types, adas = libsumo.vehicletype, self._adas
+        types.copy("DEFAULT_VEHTYPE", TRAFFIC_TYPE)
+        types.copy("DEFAULT_VEHTYPE", HOST_TYPE)
+        types.setAccel(HOST_TYPE, adas.acceleration_mps2)
+        types.setDecel(HOST_TYPE, adas.emergency_braking_mps2)
+        types.setEmergencyDecel(HOST_TYPE, adas.emergency_braking_mps2)
+        types.setApparentDecel(HOST_TYPE, min(4.5, adas.emergency_braking_mps2))
+        types.setImperfection(HOST_TYPE, 0.0)
+        types.setMaxSpeed(HOST_TYPE, adas.max_speed_kmh / KMH)
+        types.setTau(HOST_TYPE, adas.time_gap_s)
+        types.setMinGap(HOST_TYPE, adas.standstill_gap_m)
+
+    # Vehicles come and go.
+
+    def add_vehicle(
+        self, name: str, edges: Sequence[str], *, lane: int, front_m: float, desired_speed_mps: float
+    ) -> None:
+        """Insert a vehicle of the moving window on the next step, with its front at `front_m` on the first edge.
+
+        SUMO leaves it out where it would not be safe; look for it in the next scene.
+        """
+        libsumo.vehicle.add(
+            name, self._route(edges), TRAFFIC_TYPE, departLane=str(lane), departPos=f"{front_m:.2f}", departSpeed="desired"
+        )
+        libsumo.vehicle.setSpeedFactor(name, desired_speed_mps / libsumo.lane.getMaxSpeed(f"{edges[0]}_{lane}"))
+        libsumo.vehicle.setLaneChangeMode(name, RESPECT_OTHERS_GAPS)
+
+    def add_host(self, edges: Sequence[str], *, lane: int, front_m: float, speed_mps: float) -> None:
+        """Insert the host; it stands in the first scene after the next step unless there is no room for it."""
+        libsumo.vehicle.add(
+            HOST, self._route(edges), HOST_TYPE, departLane=str(lane), departPos=f"{front_m:.2f}", departSpeed=f"{speed_mps:.3f}"
+        )
+        libsumo.vehicle.setSpeedFactor(HOST, 10.0)  # the supervisor's limits hold, not the road's
+        libsumo.vehicle.setLaneChangeMode(HOST, COMMANDED_ONLY)
+        libsumo.vehicle.setSpeed(HOST, speed_mps)
+
+    def _route(self, edges: Sequence[str]) -> str:
+        """Return the name of the route over these edges, made known to SUMO once."""
+        key = tuple(edges)
+        if key not in self._routes:
+            self._routes[key] = f"route{len(self._routes)}"
+            libsumo.route.add(self._routes[key], list(key))
+        return self._routes[key]
+
+    def remove_vehicle(self, name: str) -> None:
+        """Take a vehicle off the road."""
+        libsumo.vehicle.remove(name)
+        self._sizes.pop(name, None)
+
+    def order_lane_change(self, name: str, lane: int) -> None:
+        """Tell a vehicle to change to `lane` on the next step if the gap there is safe; else nothing happens."""
+        libsumo.vehicle.changeLane(name, lane, 0.0)
+
+    def is_on_road(self, name: str) -> bool:
+        """Whether a vehicle has been inserted and has not arrived."""
+        return name in libsumo.vehicle.getIDList()
+
+    def wait_for_host(self) -> None:
+        """Let the traffic drive until there is room for the host, then observe it and what is around it.
+
+        Raises:
+            InputError: no room within `WAIT_S`.
+        """
+        for _ in range(round(WAIT_S / SECONDS_PER_STEP)):
+            libsumo.simulation.step()
+            if HOST in libsumo.simulation.getDepartedIDList():
+                break
+        else:
+            raise InputError(
+                f"the host found no gap to enter the traffic within {WAIT_S:.0f} s; "
+                "use a lighter demand or another network"
+            )
+        libsumo.vehicle.subscribeContext(HOST, constants.CMD_GET_VEHICLE_VARIABLE, self._context_m, _IN_CONTEXT)
+        self.speeds_mps.append(libsumo.vehicle.getSpeed(HOST))
+
+    def hand_over(self) -> None:
+        """Let SUMO's own driver change lanes too; its speed is left to it by a command with a negative speed."""
+        libsumo.vehicle.setLaneChangeMode(HOST, SUMO_CHANGES_LANES)
+
+    # What the host's sensors and its ADAS layer can know.
+
+    def scene(self) -> Scene:
+        """Return the host and every vehicle within the context's radius."""
+        around = libsumo.vehicle.getContextSubscriptionResults(HOST)
+        if HOST in around:  # it is first, the others follow in the order of their names
+            around = {HOST: around[HOST], **around}
+        names = list(around)
+        rows = np.array(
+            [(*row[_IN_CONTEXT[0]], *(row[variable] for variable in _IN_CONTEXT[1:])) for row in around.values()]
+        )
+        sizes = np.array([self._size(name) for name in names])
+        heading = np.radians(90.0 - rows[:, 2])
+        back = 0.5 * sizes[:, 0]
+        return Scene(
+            time_s=libsumo.simulation.getTime(),
+            ids=names,
+            x_m=rows[:, 0] - back * np.cos(heading),
+            y_m=rows[:, 1] - back * np.sin(heading),
+            heading_rad=heading,
+            speed_mps=rows[:, 3],
+            length_m=sizes[:, 0],
+            width_m=sizes[:, 1],
+            lane=rows[:, 4].astype(np.int64),
+            travelled_m=rows[:, 5],
+        )
+
+    def _size(self, name: str) -> tuple[float, float]:
+        if name not in self._sizes:
+            self._sizes[name] = (libsumo.vehicle.getLength(name), libsumo.vehicle.getWidth(name))
+        return self._sizes[name]
+
+    def host(self) -> HostState:
+        """Return where the host stands on its edge."""
+        vehicle = libsumo.vehicle
+        edge = self._edges.get(vehicle.getRoadID(HOST))
+        speed, lane = vehicle.getSpeed(HOST), vehicle.getLaneIndex(HOST)
+        if edge is None:
+            return HostState(speed, lane, lane, lane, 0.0, 0.0)
+        rightmost, leftmost = edge.first_lane, edge.first_lane + edge.n_lanes - 1
+        to_end = edge.length_m - vehicle.getLanePosition(HOST)
+        return HostState(speed, lane, rightmost, leftmost, to_end, libsumo.lane.getWidth(vehicle.getLaneID(HOST)))
+
+    def gaps(self, side: int) -> Gaps:
+        """Return the gaps in the host's own lane (0) or the one to its left (+1) or right (-1)."""
+        if side == 0:
+            leader, follower = libsumo.vehicle.getLeader(HOST, 0.0), libsumo.vehicle.getFollower(HOST)
+            ahead, behind = ([pair] if pair and pair[0] else [] for pair in (leader, follower))
+        else:
+            mode = 0 if side > 0 else 1
+            ahead, behind = (libsumo.vehicle.getNeighbors(HOST, mode | which) for which in (2, 0))
+        ahead_m, ahead_speed = self._nearest(ahead, self._adas.standstill_gap_m)
+        behind_m, behind_speed = self._nearest(behind, None)
+        return Gaps(ahead_m, ahead_speed, behind_m, behind_speed)
+
+    @property
+    def contact(self) -> bool:
+        """Whether the host has struck or been struck."""
+        return bool(self.collisions or self.struck)
+
+    @staticmethod
+    def _nearest(neighbours: Sequence[tuple[str, float]], min_gap_m: float | None) -> tuple[float, float]:
+        """SUMO tells gaps without the follower's standstill gap; add it back to get bumper to bumper."""
+        if not neighbours:
+            return math.inf, 0.0
+        name, gap = min(neighbours, key=lambda neighbour: neighbour[1])
+        standstill = libsumo.vehicle.getMinGap(name) if min_gap_m is None else min_gap_m
+        return gap + standstill, libsumo.vehicle.getSpeed(name)
+
+    # Time goes on.
+
+    def run(self, command: Command) -> int:
+        """Carry a command out; returns the number of steps driven: fewer than asked after a collision."""
+        vehicle, step, speeds = libsumo.vehicle, libsumo.simulation.step, self.speeds_mps
+        vehicle.setSpeed(HOST, command.speed_mps)
+        if command.cross:
+            vehicle.changeLane(HOST, vehicle.getLaneIndex(HOST) + command.cross, 0.0)
+        if command.lateral_m != self._lateral_m:
+            vehicle.setLateralLanePosition(HOST, command.lateral_m)
+            self._lateral_m = command.lateral_m
+        for driven in range(1, command.steps + 1):
+            step()
+            speed = vehicle.getSpeed(HOST)
+            speeds.append(speed)
+            leader = vehicle.getLeader(HOST, LEADER_RANGE_M)
+            if leader and leader[0]:
+                closing = speed - vehicle.getSpeed(leader[0])
+                gap = leader[1] + self._adas.standstill_gap_m
+                if closing * self.min_ttc_s > gap > 0.0:
+                    self.min_ttc_s = gap / closing
+            if libsumo.simulation.getCollidingVehiclesNumber() and self._count_collisions():
+                return driven
+        return command.steps
+
+    def run_without_host(self, seconds: float) -> None:
+        """Let the traffic drive, before the host is watched."""
+        libsumo.simulation.step(libsumo.simulation.getTime() + seconds)
+
+    def _count_collisions(self) -> bool:
+        """Count contacts of the host; those among the others are none of its business."""
+        for collision in libsumo.simulation.getCollisions():
+            self.collisions += collision.collider == HOST
+            self.struck += collision.victim == HOST
+        return self.contact
+
+
+def _start(arguments: list[str]) -> None:
+    try:
+        libsumo.load(arguments) if libsumo.isLoaded() else libsumo.start(["sumo", *arguments])
+    except (libsumo.TraCIException, libsumo.FatalTraCIError) as error:
+        raise InputError(f"SUMO cannot load the network or its demand: {error}") from None

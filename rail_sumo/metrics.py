@@ -1,0 +1,38 @@
+"""Trajectory -> one row of the `episodes` table."""
+
+from typing import Any
+
+import numpy as np
+
+from rail_sumo.config import Adas
+from rail_sumo.highway.reward import lateral_reward, longitudinal_reward
+from rail_sumo.records import KMH, SECONDS_PER_STEP, Trajectory
+
+
+def row(trajectory: Trajectory, adas: Adas) -> dict[str, Any]:
+    """Return an episode's row of the `episodes` table, without its columns `policy` and `episode`.
+
+    The trajectory holds at least one step. SUMO moves a vehicle by its new speed for the whole step (Euler), so the
+    sum of the speeds after each step is exactly the distance.
+    """
+    speed_mps = trajectory.speed_mps[1:]
+    braking_mps2 = -np.diff(trajectory.speed_mps) / SECONDS_PER_STEP
+    return {
+        "seed": trajectory.seed,
+        "network": trajectory.network,
+        "duration_s": len(speed_mps) * SECONDS_PER_STEP,
+        "distance_m": float(speed_mps.sum()) * SECONDS_PER_STEP,
+        "speed_kmh": float(speed_mps.mean()) * KMH,
+        "overtakes": trajectory.overtakes,
+        "overtaken": trajectory.overtaken,
+        "lane_changes": trajectory.lane_changes,
+        "aborted_lane_changes": trajectory.aborted_lane_changes,
+        "longitudinal_reward": longitudinal_reward(speed_mps, adas),
+        "lateral_reward": lateral_reward(trajectory.lane_changing),
+        "collisions": trajectory.collisions,
+        "struck": trajectory.struck,
+        "refused_decisions": trajectory.refused_decisions,
+        "min_ttc_s": trajectory.min_ttc_s,
+        "hardest_braking_mps2": max(0.0, float(braking_mps2.max())),
+        "end_reason": trajectory.end_reason,
+    }

@@ -1,0 +1,143 @@
+"""Rows -> tables with intervals: CSV and Parquet with the same content, and a table for the terminal."""
+
+import os
+import tempfile
+from collections.abc import Iterable
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pandas as pd
+from rich.box import SIMPLE_HEAD
+from rich.markup import escape
+from rich.table import Table
+from scipy.stats import trim_mean
+
+from rail_sumo.errors import InputError
+from rail_sumo.records import EPISODE_COLUMNS, METRICS, SUMMARY_COLUMNS, Floats
+
+EXPERT = "expert"
+"""The policy that ratios refer to."""
+
+DECIMALS = 6
+"""Tables are rounded to this: finer than any simulation means, and any CSV reader gives back the very same number."""
+
+N_RESAMPLES = 10_000
+
+
+def episodes(rows: Iterable[dict[str, Any]]) -> pd.DataFrame:
+    """Return the `episodes` table, a row per policy and episode, typed as `EPISODE_COLUMNS` says."""
+    return _typed(rows, EPISODE_COLUMNS)
+
+
+def summary(episodes: pd.DataFrame) -> pd.DataFrame:
+    """Return the `summary` table: a row per policy and metric, over that policy's episodes.
+
+    `iqm` is the interquartile mean (the mean of the middle half of the episodes), `low` and `high` its 95 %
+    percentile-bootstrap interval over episodes. The resamples are the same for every policy and every call.
+    `ratio_to_expert` is the ratio of the means; every policy drives on the same traffic, so it is a paired
+    comparison. It is NaN where the expert was not evaluated beside or its mean is 0.
+
+    Episodes in which the host never closed in on a vehicle have an infinite `min_ttc_s`; that metric is summarised
+    over the others, and NaN if there are none.
+    """
+    expert = episodes[episodes["policy"] == EXPERT]
+    rows = []
+    for policy, driven in episodes.groupby("policy", sort=False):
+        for metric in METRICS:
+            values, reference = _finite(driven[metric]), _finite(expert[metric])
+            low, high = _interval(values)
+            rows.append(
+                {
+                    "policy": policy,
+                    "metric": metric,
+                    "mean": _mean(values),
+                    "iqm": float(trim_mean(values, 0.25)) if len(values) else np.nan,
+                    "low": low,
+                    "high": high,
+                    "ratio_to_expert": _mean(values) / (_mean(reference) or np.nan),
+                }
+            )
+    return _typed(rows, SUMMARY_COLUMNS)
+
+
+def check(folder: Path, *, overwrite: bool = False) -> None:
+    """Raise InputError if `write` would be refused: better before an hour of driving than after it."""
+    if folder.exists() and not overwrite:
+        raise InputError(f"output folder '{folder}' exists; choose another, or replace its tables with --overwrite")
+    nearest = next(path for path in (folder, *folder.absolute().parents) if path.exists())
+    if not nearest.is_dir() or not os.access(nearest, os.W_OK):
+        raise InputError(f"cannot write to '{folder}': '{nearest}' is not a writable folder")
+
+
+def write(episodes: pd.DataFrame, summary: pd.DataFrame, folder: Path, *, overwrite: bool = False) -> None:
+    """Write both tables into the folder, each as CSV and as Parquet with the same content.
+
+    All or nothing: the files are written elsewhere on the same disk and moved in when all four are whole. With
+    `overwrite` the folder may exist; other files in it are left alone.
+
+    Raises:
+        InputError: the folder exists, cannot be written to, or the disk is full.
+    """
+    check(folder, overwrite=overwrite)
+    try:
+        folder.parent.mkdir(parents=True, exist_ok=True)
+        with tempfile.TemporaryDirectory(dir=folder.parent, prefix=f".{folder.name}.") as partial:
+            for name, table in {"episodes": episodes, "summary": summary}.items():
+                table.to_csv(Path(partial, f"{name}.csv"), index=False)
+                table.to_parquet(Path(partial, f"{name}.parquet"), index=False)
+            folder.mkdir(exist_ok=True)
+            for file in Path(partial).iterdir():
+                file.replace(folder / file.name)
+    except OSError as error:
+        raise InputError(f"cannot write the tables to '{folder}': {error.strerror or error}") from None
+
+
+# What the terminal shows: heading -> metric and format. The rest is in the files.
+_SHOWN = {
+    "speed\nkm/h": ("speed_kmh", ".1f"),
+    "overtakes": ("overtakes", ".1f"),
+    "lane\nchanges": ("lane_changes", ".1f"),
+    "lateral\nreward": ("lateral_reward", ".1f"),
+    "collisions": ("collisions", ".2f"),
+    "struck": ("struck", ".2f"),
+}
+
+
+def table(summary: pd.DataFrame) -> Table:
+    """Return the means for the terminal, a row per policy; below each mean, dimmed, its ratio to the expert's."""
+    shown = Table("policy", box=SIMPLE_HEAD, caption="means over the episodes; below them, ratios to the expert")
+    shown.columns[0].overflow = "fold"
+    for heading in _SHOWN:
+        shown.add_column(heading, justify="right")
+    by_metric = summary.set_index(["policy", "metric"])
+    for policy in summary["policy"].unique():
+        cells = []
+        for metric, form in _SHOWN.values():
+            mean, ratio = by_metric.loc[(policy, metric), ["mean", "ratio_to_expert"]]
+            compared = policy != EXPERT and not np.isnan(ratio)
+            cells.append(f"{mean:{form}}" + (f"\n[dim]{ratio:.2f}[/]" if compared else ""))
+        shown.add_row(escape(policy), *cells)
+    return shown
+
+
+def _typed(rows: Iterable[dict[str, Any]], columns: dict[str, str]) -> pd.DataFrame:
+    return pd.DataFrame(rows, columns=list(columns)).astype(columns).round(DECIMALS)
+
+
+def _finite(values: pd.Series) -> Floats:
+    array = values.to_numpy(dtype=np.float64)
+    return array[np.isfinite(array)]
+
+
+def _mean(values: Floats) -> float:
+    return float(values.mean()) if len(values) else np.nan
+
+
+def _interval(values: Floats) -> tuple[float, float]:
+    """Return the percentile-bootstrap 95 % interval of the interquartile mean; NaN for no values."""
+    if not len(values):
+        return np.nan, np.nan
+    resamples = np.random.default_rng(0).choice(values, size=(N_RESAMPLES, len(values)))
+    low, high = np.percentile(trim_mean(resamples, 0.25, axis=1), [2.5, 97.5])
+    return float(low), float(high)

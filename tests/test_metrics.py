@@ -1,0 +1,95 @@
+import dataclasses
+import math
+
+import numpy as np
+import pytest
+
+from rail_sumo import metrics
+from rail_sumo.config import Adas
+from rail_sumo.highway.reward import reward
+from rail_sumo.records import EPISODE_COLUMNS, Trajectory
+
+
+def trajectory(speed_mps, **changes):
+    """An uneventful drive; every field can be changed."""
+    speed_mps = np.asarray(speed_mps, dtype=np.float64)
+    fields = dict.fromkeys(
+        ("overtakes", "overtaken", "lane_changes", "aborted_lane_changes", "refused_decisions", "collisions", "struck"),
+        0,
+    )
+    uneventful = Trajectory(
+        observations=np.empty((0, 48)),
+        actions=np.empty(0, dtype=np.int64),
+        speed_mps=speed_mps,
+        lane_changing=np.zeros(len(speed_mps) - 1, dtype=np.bool_),
+        min_ttc_s=math.inf,
+        end_reason="duration",
+        seed=7,
+        network="highway5",
+        **fields,
+    )
+    return dataclasses.replace(uneventful, **changes)
+
+
+def row(*arguments, **changes):
+    return metrics.row(trajectory(*arguments, **changes), Adas())
+
+
+def test_two_seconds_at_20_mps_are_40_metres():
+    driven = row(np.full(21, 20.0))
+    assert driven["duration_s"] == pytest.approx(2.0)
+    assert driven["distance_m"] == pytest.approx(40.0)
+    assert driven["speed_kmh"] == pytest.approx(72.0)
+    # (72 - 40) / (80 - 40) = 0.8 in each of 20 steps.
+    assert driven["longitudinal_reward"] == pytest.approx(16.0)
+    assert driven["hardest_braking_mps2"] == 0.0
+
+
+def test_speed_is_distance_over_duration_when_it_changes():
+    driven = row([10.0, 11.0, 13.0, 12.0])
+    assert driven["distance_m"] == pytest.approx(3.6)  # the start's 10 m/s moved nothing
+    assert driven["speed_kmh"] == pytest.approx(driven["distance_m"] / driven["duration_s"] * 3.6)
+
+
+def test_below_40_kmh_a_step_earns_nothing():
+    assert row([0.0, 5.0, 40 / 3.6, 60 / 3.6])["longitudinal_reward"] == pytest.approx(0.5)
+
+
+def test_a_full_course_at_70_kmh_earns_what_the_paper_accounts():
+    # 7,222 m at 70 km/h are about 3,714 steps of 0.1 s, each worth (70 - 40) / 40 = 0.75.
+    steps = round(7222 / (70 / 3.6) / 0.1)
+    driven = row(np.full(steps + 1, 70 / 3.6))
+    assert driven["longitudinal_reward"] == pytest.approx(3714 * 0.75)
+    assert driven["distance_m"] == pytest.approx(7222, abs=2.0)
+
+
+def test_a_lane_change_of_19_steps_costs_half_a_point_each():
+    lane_changing = np.arange(40) < 19
+    assert row(np.full(41, 20.0), lane_changing=lane_changing)["lateral_reward"] == -9.5
+
+
+def test_hardest_braking_is_the_steepest_single_step():
+    # 20 -> 19.6 is 4 m/s², 19.6 -> 18.7 is 9, then it speeds up.
+    driven = row([20.0, 19.6, 18.7, 19.5])
+    assert driven["hardest_braking_mps2"] == pytest.approx(9.0)
+
+
+def test_counts_are_carried_over_and_the_row_fills_every_column():
+    driven = row(np.full(2, 20.0), overtakes=3, overtaken=1, struck=1, min_ttc_s=2.5, end_reason="collision")
+    assert {"policy": "rule", "episode": 0, **driven}.keys() == EPISODE_COLUMNS.keys()
+    assert (driven["overtakes"], driven["overtaken"], driven["struck"], driven["collisions"]) == (3, 1, 1, 0)
+    assert (driven["min_ttc_s"], driven["end_reason"], driven["seed"]) == (2.5, "collision", 7)
+
+
+def test_reward_adds_its_parts_up():
+    # Two steps at 60 km/h, 0.5 each; one of them changing lanes; two overtakes more than overtaken; refusals; a crash.
+    total = reward(
+        np.full(2, 60 / 3.6),
+        np.array([True, False]),
+        Adas(),
+        overtakes=3,
+        overtaken=1,
+        refused_decisions=2,
+        collisions=1,
+    )
+    assert total == pytest.approx(1.0 - 0.5 + 1.0 - 0.2 - 10.0)
