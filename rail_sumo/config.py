@@ -163,6 +163,21 @@ class Train(_Section):
     evaluation_episodes: Count = 16
 
 
+class Expert(_Section):
+    """Masked PPO, which the expert is trained by."""
+
+    decisions: Count = 100_000
+    horizon_s: Positive = 300.0
+    hidden: tuple[Count, ...] = (128, 128)
+    learning_rate: Positive = 4e-4
+    """Falls to 0 over the training."""
+    discount: Annotated[float, Field(gt=0.0, lt=1.0)] = 0.98
+    decisions_per_update: Count = 2048
+    batch_size: Count = 64
+    epochs: Count = 10
+    entropy: NonNegative = 0.0
+
+
 class Config(_Section):
     """The whole tree; a function takes the part it needs."""
 
@@ -177,6 +192,7 @@ class Config(_Section):
     search: Search = Search()
     judge: Judge = Judge()
     train: Train = Train()
+    expert: Expert = Expert()
 
 
 def load(path: Path | None = None, overrides: Iterable[str] = ()) -> Config:

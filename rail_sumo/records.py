@@ -42,10 +42,6 @@ class Scene:
     speed_mps: Floats
     length_m: Floats
     width_m: Floats
-    lane: NDArray[np.int64]
-    """Lane index on each vehicle's own edge, 0 the rightmost."""
-    travelled_m: Floats
-    """Each vehicle's odometer: metres driven since it was inserted."""
 
 
 @dataclass(frozen=True, slots=True)

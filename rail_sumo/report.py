@@ -65,6 +65,11 @@ def check(folder: Path, *, overwrite: bool = False) -> None:
     """Raise InputError if `write` would be refused: better before an hour of driving than after it."""
     if folder.exists() and not overwrite:
         raise InputError(f"output folder '{folder}' exists; choose another, or replace its tables with --overwrite")
+    check_writable(folder)
+
+
+def check_writable(folder: Path) -> None:
+    """Raise InputError if nothing can be written into the folder, or it cannot be made."""
     nearest = next(path for path in (folder, *folder.absolute().parents) if path.exists())
     if not nearest.is_dir() or not os.access(nearest, os.W_OK):
         raise InputError(f"cannot write to '{folder}': '{nearest}' is not a writable folder")

@@ -1,26 +1,20 @@
-"""Train, evaluate, demonstrate; and the run directory, which at every moment can be evaluated and resumed."""
+"""Train, evaluate, demonstrate: what the command line does, each in one call."""
 
-import csv
-import io
 import itertools
-import json
-import tempfile
+import math
 import time
-from collections.abc import Callable, Iterable, Iterator, Mapping
-from dataclasses import dataclass
+from collections.abc import Iterable, Iterator, Mapping
+from dataclasses import replace
 from functools import partial
-from importlib.metadata import version
 from pathlib import Path
-from typing import Any, Literal
+from typing import TYPE_CHECKING, Literal, Protocol
 
 import numpy as np
 import pandas as pd
-import safetensors.numpy
-from numpy.typing import NDArray
-from safetensors import SafetensorError, safe_open
+from safetensors.numpy import save_file
 
 from rail_sumo import assets, config, drivers, metrics, report, rollout
-from rail_sumo.config import Config
+from rail_sumo.config import Config, dumps
 from rail_sumo.errors import InputError, did_you_mean
 from rail_sumo.highway import road
 from rail_sumo.highway.observation import feature_names
@@ -28,96 +22,119 @@ from rail_sumo.imitation.demonstrations import Demonstrations
 from rail_sumo.policy import Shape, Whitening
 from rail_sumo.records import KMH, Floats, Trajectory
 from rail_sumo.rollout import DEMONSTRATION, EVALUATION, TRAINING, LearnedDriver, Task, traffic_seed
+from rail_sumo.run_directory import CONFIG, POLICY, Checkpoint, Row, RunDirectory, require_new
 
-Workers = int | Literal["ray"]
-Tensors = dict[str, NDArray[Any]]
+if TYPE_CHECKING:  # torch takes seconds to import, and only training needs it
+    from rail_sumo.imitation.discriminator import Judge
+    from rail_sumo.imitation.rail import RailState
+
+Driver = str | LearnedDriver
+WorkerCount = int | Literal["ray"]
 Tables = tuple[pd.DataFrame, pd.DataFrame]
-"""The `episodes` and the `summary` table."""
-
-CONFIG, POLICY, CLONE, JUDGE = "config.toml", "policy.safetensors", "clone.safetensors", "judge.safetensors"
-PROGRESS, CHECKPOINT = "progress.csv", "checkpoint.safetensors"
+"""The `episodes` table and its `summary`."""
 
 
-class Observer:
-    """Is told how far long work has come. This one keeps it to itself; the command line's draws bars."""
+class Observer(Protocol):
+    """Is told how far long work has come."""
 
     def start(self, work: str, total: int, done: int = 0) -> None:
         """Work of `total` parts begins, `done` of them already there."""
 
-    def advance(self, **figures: float) -> None:
-        """One more part is done; `figures` tell how it went."""
+    def advance(self, figures: Mapping[str, float]) -> None:
+        """One more part is done; the figures tell how it went, by the names of the tables' columns."""
 
 
-SILENT = Observer()
+class _Silent:
+    def start(self, work: str, total: int, done: int = 0) -> None: ...
+
+    def advance(self, figures: Mapping[str, float]) -> None: ...
+
+
+SILENT = _Silent()
 
 
 def world(policies: Iterable[str], overrides: Iterable[str] = ()) -> Config:
-    """Return the configuration to evaluate in: the first run directory's among the policies, with overrides on top.
+    """Return the world to evaluate in: the first run directory's among the policies, with `overrides` on top.
 
-    Drivers by name alone drive in the default world.
+    Drivers known by name alone drive in the default world.
 
     Raises:
-        InputError: the directory is missing, or what `config.load` raises.
+        InputError: a policy is neither, or what `config.load` raises.
     """
-    runs = (Path(policy) for policy in policies if policy not in drivers.NAMES)
-    first = next(runs, None)
-    return config.load(first and _existing(first) / CONFIG, overrides)
+    runs = [_run(policy) for policy in policies if policy not in drivers.NAMES]
+    return config.load(runs[0].path / CONFIG if runs else None, overrides)
 
 
-def driver(policy: str, config: Config) -> str | LearnedDriver:
-    """Return who drives: a driver by its name, or the policy of a run directory."""
-    return policy if policy in drivers.NAMES else load_policy(Path(policy), config)
+def find_driver(policy: str, world: Config) -> Driver:
+    """Return who drives under the name: a driver of ours, or what a run directory learned.
+
+    Raises:
+        InputError: it is neither, damaged, or learned on another observation than the world's.
+    """
+    return policy if policy in drivers.NAMES else _run(policy).policy(world)
 
 
 def evaluate(
-    policies: Mapping[str, str | LearnedDriver],
-    config: Config,
+    policies: Mapping[str, Driver],
+    world: Config,
     *,
     episodes: int,
     seed: int,
-    workers: Workers = 1,
+    workers: WorkerCount = 1,
     observer: Observer = SILENT,
 ) -> Tables:
-    """Drive every policy through the same held-out episodes and return the `episodes` and `summary` tables.
+    """Drive every policy through the same held-out episodes and return the tables.
 
     Args:
-        policies: name in the tables -> who drives.
-        config: the world, for all of them.
-        episodes: how many, at least one; episode i has the same traffic for every policy and every call with `seed`.
-        workers: processes that drive, or "ray"; the tables do not depend on it.
+        policies: the name in the tables, and who drives.
+        world: the same for all of them.
+        episodes: how many; number i has the same traffic for every policy, and in every call with this seed.
+        seed: of the traffic, which no training with any seed has met.
+        workers: how many processes drive, or "ray". The tables do not depend on it.
+        observer: is told of every episode.
+
+    Raises:
+        InputError: fewer than one episode, or a network or demand that cannot be driven.
     """
-    _check(config, episodes)
+    require_drivable(world, episodes)
     labels = list(itertools.product(policies, range(episodes)))
-    tasks = (Task(policies[name], config, traffic_seed(seed, EVALUATION, episode)) for name, episode in labels)
-    observer.start("evaluate", len(labels))
-    rows = []
-    with rollout.workers(workers) as pool:
-        for (name, episode), trajectory in zip(labels, pool.map(rollout.drive, tasks), strict=True):
-            rows.append({"policy": name, "episode": episode, **metrics.row(trajectory, config.adas)})
-            observer.advance(speed_kmh=rows[-1]["speed_kmh"])
+    tasks = [Task(policies[name], world, traffic_seed(seed, EVALUATION, episode)) for name, episode in labels]
+    driven = _drive("evaluate", tasks, workers, observer)
+    rows = [
+        {"policy": name, "episode": episode, **metrics.row(trajectory, world.adas)}
+        for (name, episode), trajectory in zip(labels, driven, strict=True)
+    ]
     table = report.episodes(rows)
     return table, report.summary(table)
 
 
 def demonstrate(
-    who: str | LearnedDriver,
-    config: Config,
+    driver: str,
+    world: Config,
+    out: Path,
     *,
     episodes: int,
     seed: int,
-    workers: Workers = 1,
+    workers: WorkerCount = 1,
+    overwrite: bool = False,
     observer: Observer = SILENT,
 ) -> Demonstrations:
-    """Record what a driver sees and decides in `episodes` episodes of its own traffic."""
-    _check(config, episodes)
-    tasks = (Task(who, config, traffic_seed(seed, DEMONSTRATION, episode)) for episode in range(episodes))
-    observer.start("record", episodes)
-    driven = []
-    with rollout.workers(workers) as pool:
-        for trajectory in pool.map(rollout.drive, tasks):
-            driven.append(trajectory)
-            observer.advance(speed_kmh=_speed_kmh([trajectory]))
-    return Demonstrations.from_trajectories(driven)
+    """Record what a driver, by name or run directory, sees and decides in traffic of its own; see `evaluate`.
+
+    Raises:
+        InputError: the file `out` exists and is not to be overwritten, or cannot be written; bad input of any kind.
+    """
+    if out.exists() and not overwrite:
+        raise InputError(f"output file '{out}' exists; choose another, or replace it with --overwrite")
+    report.check_writable(out.parent)
+    require_drivable(world, episodes)
+    who = find_driver(driver, world)
+    tasks = [Task(who, world, traffic_seed(seed, DEMONSTRATION, episode)) for episode in range(episodes)]
+    demonstrations = Demonstrations.from_trajectories(list(_drive("record", tasks, workers, observer)))
+    out.parent.mkdir(parents=True, exist_ok=True)
+    about = {"driver": driver, "seed": str(seed), "config": dumps(world)}
+    demonstrations.save(out, features=feature_names(world.lidar, world.observation), about=about)
+    return demonstrations
 
 
 def train(
@@ -125,68 +142,173 @@ def train(
     out: Path,
     *,
     seed: int,
-    workers: Workers = 1,
+    workers: WorkerCount = 1,
     resume: bool = False,
     observer: Observer = SILENT,
 ) -> Tables:
     """Clone the demonstrations, improve the clone by RAIL, and set both beside the expert on held-out traffic.
 
-    The run directory `out` appears whole once there is a clone, and from then on is complete at every moment:
-    after an interruption, a killed process included, `resume` goes on to the very same policy.
+    The run directory `out` appears once there is a clone. From then on training may be interrupted at any moment,
+    by kill -9 too, and with `resume` goes on to the very same policy.
 
     Raises:
-        InputError: bad input of any kind; `out` exists, or with `resume` is no run of this configuration and seed.
+        InputError: `out` exists, or with `resume` is no run of this configuration and seed; anything that is wrong
+            with the configuration, the network, the demand or the demonstrations.
     """
-    # Here, because torch takes seconds to import and only training needs it.
-    from rail_sumo.imitation import bc, rail
-    from rail_sumo.imitation.discriminator import Judge
-
-    _check(config, config.train.evaluation_episodes)
     if resume:
-        _check_same(out, config, seed)
+        run = RunDirectory(out)
+        run.require_same(config, seed)
     else:
-        check_new(out)
-    features = feature_names(config.lidar, config.observation)
-    demonstrations = _demonstrations(config, features)
-    whitening = Whitening.of(demonstrations.observations)
-    shape = Shape(len(features), config.policy.hidden if config.policy.layers == 2 else None)
-    horizon = round(config.train.horizon_s / config.episode.decision_period_s)
-    judge = Judge(len(features), whitening, config.judge, seed, horizon)
-
+        require_new(out)
+    require_drivable(config, config.train.evaluation_episodes)
+    demonstrations = _demonstrations(config)
     if not resume:
-        theta = bc.clone(demonstrations, shape, whitening, config.cloning, seed)
-        _create(out, config, seed, LearnedDriver(theta, shape, whitening), features, judge.state())
-    saved = Checkpoint.load(out)
-    judge.load_state(saved.judge)
-    clone = load_policy(out, config, CLONE)
+        run = _start(config, out, seed, demonstrations)
+    _improve(run, demonstrations, workers, observer)
 
-    observer.start("train", config.train.iterations, done=saved.iteration)
-    with rollout.workers(workers) as pool:
-        evaluate_directions = partial(_directions, pool.map, clone, _training_world(config), seed)
-        states = rail.train(
-            saved.theta,
-            demonstrations,
-            search=config.search,
-            judge=judge,
-            evaluate=evaluate_directions,
-            seed=seed,
-            first_iteration=saved.iteration + 1,
-        )
-        progress = Progress.load(out, saved.iteration)
-        for state in itertools.islice(states, config.train.iterations - saved.iteration):
-            progress.append(state)
-            learned = LearnedDriver(state.theta, shape, whitening)
-            _save(out, learned, features, progress, Checkpoint(seed, state.iteration, state.theta, judge.state()))
-            observer.advance(**progress.rows[-1])
-
-    policies = {"rail": load_policy(out, config), "clone": clone, "expert": "expert"}
-    tables = evaluate(
-        policies,
-        config,
-        episodes=config.train.evaluation_episodes,
-        seed=seed,
-        workers=workers,
-        observer=observer,
-    )
+    policies: dict[str, Driver] = {"rail": run.policy(config), "clone": run.clone, report.EXPERT: "expert"}
+    episodes = config.train.evaluation_episodes
+    tables = evaluate(policies, config, episodes=episodes, seed=seed, workers=workers, observer=observer)
     report.write(*tables, out, overwrite=True)
     return tables
+
+
+def train_expert(config: Config, out: Path, *, seed: int, observer: Observer = SILENT) -> None:
+    """Train an expert by masked PPO into the new folder `out`: its weights, and the configuration as its recipe.
+
+    Raises:
+        InputError: `out` exists or cannot be written, or the network or the demand cannot be driven.
+    """
+    from rail_sumo.imitation import ppo
+
+    report.check(out)
+    require_drivable(config)
+    observer.start("train", config.expert.decisions)
+    layers = ppo.train(config, seed, lambda _: observer.advance({}))
+    tensors: dict[str, Floats] = {}
+    for index, (weights, biases) in enumerate(layers):
+        tensors |= {f"{index}.weight": weights, f"{index}.bias": biases}
+    try:
+        out.mkdir(parents=True)
+        save_file(tensors, out / POLICY)
+        (out / CONFIG).write_text(dumps(config), encoding="utf-8")
+    except OSError as error:
+        raise InputError(f"cannot write the expert to '{out}': {error.strerror or error}") from None
+
+
+def require_drivable(world: Config, episodes: int = 1) -> None:
+    """Raise InputError for what can be known to be wrong before anybody drives."""
+    if episodes < 1:
+        raise InputError(f"episodes must be at least 1; got {episodes}")
+    road.load(world.network.file)
+    road.check_demand(world.traffic.routes)
+
+
+def _run(policy: str) -> RunDirectory:
+    if not Path(policy).exists():
+        raise InputError(
+            f"policy '{policy}' is neither a run directory nor a driver{did_you_mean(policy, drivers.NAMES)}"
+        )
+    return RunDirectory(Path(policy))
+
+
+def _drive(work: str, tasks: list[Task], workers: WorkerCount, observer: Observer) -> Iterator[Trajectory]:
+    observer.start(work, len(tasks))
+    with rollout.workers(workers) as pool:
+        for trajectory in pool.map(rollout.drive, tasks):
+            observer.advance(_figures([trajectory]))
+            yield trajectory
+
+
+def _demonstrations(config: Config) -> Demonstrations:
+    name = config.train.demonstrations
+    path = assets.expert("demonstrations.parquet") if name == "expert" else Path(name)
+    features = feature_names(config.lidar, config.observation)
+    return Demonstrations.load(path, features=features).take(config.train.trajectories)
+
+
+def _start(config: Config, out: Path, seed: int, demonstrations: Demonstrations) -> RunDirectory:
+    from rail_sumo.imitation import bc
+
+    whitening = Whitening.of(demonstrations.observations)
+    n_features = len(feature_names(config.lidar, config.observation))
+    shape = Shape(n_features, config.policy.hidden if config.policy.layers == 2 else None)
+    theta = bc.clone(demonstrations, shape, whitening, config.cloning, seed)
+    clone = LearnedDriver(theta, shape, whitening)
+    return RunDirectory.create(out, config, seed, clone, _judge(config, clone, seed).state())
+
+
+def _judge(config: Config, clone: LearnedDriver, seed: int) -> "Judge":
+    from rail_sumo.imitation.discriminator import Judge
+
+    horizon_decisions = round(config.train.horizon_s / config.episode.decision_period_s)
+    return Judge(clone.shape.n_features, clone.whitening, config.judge, seed, horizon_decisions)
+
+
+def _improve(run: RunDirectory, demonstrations: Demonstrations, workers: WorkerCount, observer: Observer) -> None:
+    """Go on with RAIL from the run's checkpoint to its last iteration, saving after each."""
+    from rail_sumo.imitation import rail
+
+    checkpoint = run.checkpoint()
+    judge = _judge(run.config, run.clone, run.seed)
+    judge.load_state(checkpoint.judge)
+    n_iterations = run.config.train.iterations
+    observer.start("train", n_iterations, done=checkpoint.iteration)
+    started = time.perf_counter() - (checkpoint.progress[-1]["seconds"] if checkpoint.progress else 0.0)
+    with rollout.workers(workers) as pool:
+        states = rail.train(
+            checkpoint.theta,
+            demonstrations,
+            search=run.config.search,
+            judge=judge,
+            evaluate=partial(_rollouts, pool, run),
+            seed=run.seed,
+            first_iteration=checkpoint.iteration + 1,
+        )
+        for state in itertools.islice(states, n_iterations - checkpoint.iteration):
+            row = _progress(state, judge, checkpoint.progress, time.perf_counter() - started)
+            checkpoint = Checkpoint(state.theta, judge.state(), (*checkpoint.progress, row))
+            run.save(checkpoint)
+            observer.advance(row)
+
+
+def _rollouts(
+    pool: rollout.Workers, run: RunDirectory, theta: Floats, perturbations: Floats, iteration: int
+) -> tuple[list[Trajectory], list[Trajectory]]:
+    """Drive theta plus and minus each perturbation, both on the same traffic, which is new in every iteration."""
+    episode = run.config.episode.model_copy(update={"course_m": math.inf, "duration_s": run.config.train.horizon_s})
+    world = run.config.model_copy(update={"episode": episode})
+    tasks = [
+        Task(
+            replace(run.clone, theta=theta + sign * delta),
+            world,
+            traffic_seed(run.seed, TRAINING, iteration, direction),
+        )
+        for sign in (1.0, -1.0)
+        for direction, delta in enumerate(perturbations)
+    ]
+    driven = list(pool.map(rollout.drive, tasks))
+    return driven[: len(perturbations)], driven[len(perturbations) :]
+
+
+def _progress(state: "RailState", judge: "Judge", before: tuple[Row, ...], seconds: float) -> Row:
+    driven = [*state.plus, *state.minus]
+    steps_before = before[-1]["environment_steps"] if before else 0
+    return {
+        "iteration": state.iteration,
+        "environment_steps": steps_before + sum(len(trajectory.lane_changing) for trajectory in driven),
+        "seconds": round(seconds, 3),
+        "mean_return": float(np.mean(judge.returns(driven))),
+        "judge_loss": state.judge_loss.loss,
+        "judge_expert_mean": state.judge_loss.expert_mean,
+        "judge_learner_mean": state.judge_loss.learner_mean,
+        **_figures(driven),
+        "step_norm": state.step_norm,
+    }
+
+
+def _figures(driven: list[Trajectory]) -> dict[str, float]:
+    return {
+        "speed_kmh": float(np.mean([trajectory.speed_mps[1:].mean() for trajectory in driven])) * KMH,
+        "lane_changes": float(np.mean([trajectory.lane_changes for trajectory in driven])),
+    }

@@ -1,15 +1,17 @@
-"""The run directory: what training leaves, whole at every moment, to evaluate and to go on from.
+"""The run directory: what training leaves behind, at every moment fit to be evaluated and gone on from.
 
-`config.toml` holds every key, `policy.safetensors` the learned driver, `clone.safetensors` what it started from,
-`judge.safetensors` the discriminator, `progress.csv` a row per iteration, `checkpoint.safetensors` what the next
+`config.toml` holds every key; `policy.safetensors` the learned driver and `clone.safetensors` what it started from;
+`judge.safetensors` the discriminator; `progress.csv` a row per iteration; `checkpoint.safetensors` all that the next
 iteration depends on.
 """
 
+import csv
+import io
 import json
 import tempfile
-from collections.abc import Iterable, Mapping
-from dataclasses import dataclass
-from importlib.metadata import version
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
 from typing import Any
 
@@ -18,15 +20,12 @@ import safetensors.numpy
 from numpy.typing import NDArray
 from safetensors import SafetensorError, safe_open
 
-from rail_sumo import config
-from rail_sumo.config import Config
+from rail_sumo.config import Config, dumps, load
 from rail_sumo.errors import InputError
 from rail_sumo.highway.observation import feature_names
 from rail_sumo.policy import Shape, Whitening
 from rail_sumo.records import Floats
 from rail_sumo.rollout import LearnedDriver
-
-Tensors = dict[str, NDArray[Any]]
 
 CONFIG = "config.toml"
 POLICY = "policy.safetensors"
@@ -37,45 +36,55 @@ CHECKPOINT = "checkpoint.safetensors"
 
 PROGRESS_COLUMNS = (
     "iteration",
-    "environment_steps",  # SUMO steps of 0.1 s driven since the start
-    "seconds",  # of wall clock since the start, interruptions left out
-    "mean_return",  # of the iteration's rollouts, by the judge
+    "environment_steps",  # SUMO steps driven since the start
+    "seconds",  # at work since the start, interruptions left out
+    "mean_return",  # of this iteration's rollouts, by the judge; the next six likewise of this iteration
     "judge_loss",
     "judge_expert_mean",
     "judge_learner_mean",
-    "speed_kmh",  # mean over the iteration's rollouts, like the next
-    "lane_changes",
+    "speed_kmh",
+    "lane_changes",  # per rollout
     "step_norm",  # how far theta moved
 )
+
+Tensors = dict[str, NDArray[Any]]
+Row = Mapping[str, float]
+"""A row of `progress.csv`, keyed by `PROGRESS_COLUMNS`."""
 
 
 @dataclass(frozen=True)
 class Checkpoint:
-    """Where training stands after an iteration; 0 is the clone."""
+    """Where training stands after an iteration; without progress, at the clone."""
 
-    iteration: int
     theta: Floats
     judge: Tensors
-    environment_steps: int = 0
-    seconds: float = 0.0
+    progress: tuple[Row, ...] = ()
+
+    @property
+    def iteration(self) -> int:
+        """How many iterations are done."""
+        return len(self.progress)
 
 
 class RunDirectory:
-    """An existing run; every file in it is replaced at once, so a killed process leaves the old one or the new one.
+    """An existing run. Every file is replaced at once: a process killed while writing leaves the old one whole.
 
     Raises:
-        InputError: no such directory, or its configuration cannot be read.
+        InputError: not there, incomplete or damaged.
     """
 
     def __init__(self, path: Path) -> None:
         if not path.is_dir():
             raise InputError(f"run directory '{path}' not found")
+        if not (path / CONFIG).is_file():
+            raise InputError(f"'{path}' is not a run directory: it has no {CONFIG}")
         self.path = path
-        self.config = config.load(path / CONFIG)
+        self.config = load(path / CONFIG)
+        self.clone, self._about = _read_driver(path / CLONE)
 
     @classmethod
     def create(cls, path: Path, config: Config, seed: int, clone: LearnedDriver, judge: Tensors) -> "RunDirectory":
-        """Lay out a run that starts from the clone. It appears under its name once it is whole.
+        """Lay out a run that starts from the clone. It appears under its name only once it is whole.
 
         Raises:
             InputError: it exists, or cannot be written.
@@ -84,14 +93,140 @@ class RunDirectory:
         features = feature_names(config.lidar, config.observation)
         try:
             path.parent.mkdir(parents=True, exist_ok=True)
-            with tempfile.TemporaryDirectory(dir=path.parent, prefix=f".{path.name}.") as partial:
-                whole = Path(partial, path.name)
+            with tempfile.TemporaryDirectory(dir=path.parent, prefix=f".{path.name}.") as scratch:
+                whole = Path(scratch, path.name)
                 whole.mkdir()
-                _replace(whole / CONFIG, config_toml(config).encode())
-                _replace(whole / PROGRESS, _lines([",".join(PROGRESS_COLUMNS)]))
-                _replace(whole / CLONE, _driver(clone, features, seed, iteration=0))
-                _save(whole, Checkpoint(0, clone.theta, judge), clone, features, seed)
+                _replace(whole / CONFIG, dumps(config).encode())
+                _replace(whole / CLONE, _driver_bytes(clone, {"seed": seed, "features": features}))
+                cls(whole).save(Checkpoint(clone.theta, judge))
                 whole.rename(path)
         except OSError as error:
             raise InputError(f"cannot write run directory '{path}': {error.strerror or error}") from None
         return cls(path)
+
+    @property
+    def seed(self) -> int:
+        """The seed the run was started with."""
+        return int(self._about["seed"])
+
+    def policy(self, world: Config) -> LearnedDriver:
+        """Return the learned driver, to drive in a world that shows it what it was trained on.
+
+        Raises:
+            InputError: the world's observation is laid out differently, or the file is damaged.
+        """
+        learned, about = _read_driver(self.path / POLICY)
+        given = feature_names(world.lidar, world.observation)
+        if given != about["features"]:
+            raise InputError(
+                f"policy '{self.path}' was trained on another observation ({len(about['features'])} features) than it "
+                f"is to drive with ({len(given)}); leave [lidar] and [observation] as in '{self.path / CONFIG}'"
+            )
+        return learned
+
+    def checkpoint(self) -> Checkpoint:
+        """Return where training stands."""
+        path = self.path / CHECKPOINT
+        tensors, about = _read(path)
+        try:
+            return Checkpoint(tensors.pop("theta"), tensors, tuple(about["progress"]))
+        except KeyError as error:
+            raise _damaged(path, error) from None
+
+    def save(self, checkpoint: Checkpoint) -> None:
+        """Store an iteration.
+
+        Raises:
+            InputError: the disk is full, or the directory cannot be written.
+        """
+        learned = replace(self.clone, theta=checkpoint.theta)
+        _replace(self.path / POLICY, _driver_bytes(learned, self._about | {"iteration": checkpoint.iteration}))
+        _replace(self.path / JUDGE, _bytes(checkpoint.judge, {"iteration": checkpoint.iteration}))
+        _replace(self.path / PROGRESS, _csv(checkpoint.progress))
+        # Last, so that whatever is newer than it will be written again.
+        tensors = {"theta": checkpoint.theta, **checkpoint.judge}
+        _replace(self.path / CHECKPOINT, _bytes(tensors, {"progress": checkpoint.progress}))
+
+    def require_same(self, config: Config, seed: int) -> None:
+        """Raise InputError unless the run was started with this configuration and seed."""
+        given = _flat(config) | {"seed": seed}
+        for key, value in (_flat(self.config) | {"seed": self.seed}).items():
+            if given[key] != value:
+                raise InputError(
+                    f"run directory '{self.path}' was started with {key} = {value}, not {given[key]}; resume it as it "
+                    f"was started, or start another with --out"
+                )
+
+
+def require_new(path: Path) -> None:
+    """Raise InputError if there is something where a new run is to be."""
+    if path.exists():
+        raise InputError(f"output folder '{path}' exists; go on with it by --resume, or choose another with --out")
+
+
+def _flat(tree: Config) -> dict[str, Any]:
+    return {f"{section}.{key}": value for section, values in tree.model_dump().items() for key, value in values.items()}
+
+
+def _csv(progress: tuple[Row, ...]) -> bytes:
+    text = io.StringIO()
+    writer = csv.DictWriter(text, PROGRESS_COLUMNS, lineterminator="\n")
+    writer.writeheader()
+    writer.writerows(progress)
+    return text.getvalue().encode()
+
+
+def _driver_bytes(driver: LearnedDriver, about: dict[str, Any]) -> bytes:
+    tensors = {"theta": driver.theta, "whitening_mean": driver.whitening.mean, "whitening_std": driver.whitening.std}
+    return _bytes(tensors, about | {"hidden": driver.shape.hidden})
+
+
+def _read_driver(path: Path) -> tuple[LearnedDriver, dict[str, Any]]:
+    tensors, about = _read(path)
+    try:
+        shape = Shape(len(about["features"]), about["hidden"])
+        whitening = Whitening(tensors["whitening_mean"], tensors["whitening_std"])
+        driver = LearnedDriver(tensors["theta"], shape, whitening)
+        driver.policy()
+    except (KeyError, TypeError, ValueError) as error:
+        raise _damaged(path, error) from None
+    return driver, about
+
+
+def _bytes(tensors: Tensors, about: dict[str, Any]) -> bytes:
+    # One metadata key: safetensors writes several in random order, and equal runs must give equal bytes.
+    text = json.dumps(about | {"version": _version()}, sort_keys=True)
+    return safetensors.numpy.save(tensors, metadata={"rail_sumo": text})
+
+
+def _version() -> str:
+    try:
+        return version("rail-sumo")
+    except PackageNotFoundError:
+        return "not installed"  # run from a checkout
+
+
+def _read(path: Path) -> tuple[Tensors, dict[str, Any]]:
+    try:
+        with safe_open(path, framework="numpy") as file:
+            tensors = {name: np.asarray(file.get_tensor(name)) for name in file.keys()}  # noqa: SIM118
+            return tensors, json.loads(file.metadata()["rail_sumo"])
+    except FileNotFoundError:
+        raise InputError(f"'{path.parent}' is not a complete run directory: it has no {path.name}") from None
+    except (OSError, SafetensorError, KeyError, TypeError, ValueError) as error:
+        raise _damaged(path, error) from None
+
+
+def _damaged(path: Path, error: Exception) -> InputError:
+    return InputError(f"'{path}' is truncated or damaged ({type(error).__name__}: {error}); restore it or train again")
+
+
+def _replace(path: Path, content: bytes) -> None:
+    """Write a file whole or not at all."""
+    partial = path.with_name(f".{path.name}.partial")
+    try:
+        partial.write_bytes(content)
+        partial.replace(path)
+    except OSError as error:
+        partial.unlink(missing_ok=True)
+        raise InputError(f"cannot write '{path}': {error.strerror or error}") from None

@@ -14,8 +14,8 @@ from rail_sumo.records import KMH, SECONDS_PER_STEP, Command, Gaps, HostState, M
 LATE_LATERAL_M = 0.25
 """How far before the border, in metres, the host becomes a vehicle of the lane it moves into. A neighbour in that lane
 sees the host only from then on, and with this margin two cars 1.8 m wide cannot have touched before."""
-GATE_TIME_S = 0.5
-"""Time gap that the gate asks for towards the vehicle ahead and from the one behind."""
+FOLLOWER_TIME_GAP_S = 0.5
+"""Time gap that the gate leaves to the vehicle behind."""
 FOLLOWER_BRAKING_MPS2 = 4.5
 """Braking that the gate may ask of the vehicle behind: SUMO's default comfortable deceleration."""
 
@@ -120,15 +120,15 @@ class Adas:
         return room and self._safe(host.speed_mps, gaps(-self._side))
 
     def _safe(self, speed_mps: float, gap: Gaps) -> bool:
-        """The gate: nobody has to brake harder than it can, the host behind its leader, the follower behind the host.
+        """The gate: the host's ACC need not brake behind its new leader, nor the new follower brake hard.
 
-        Each gap must hold the standstill gap, `GATE_TIME_S` of reaction and the difference of the stopping
-        distances v^2 / (2 b) when the one behind is the faster (Gipps 1981).
+        Each gap must hold the standstill gap, a reaction time and, when the one behind is the faster, the difference
+        of the stopping distances v^2 / (2 b) (Gipps 1981; for the host that is where Krauss's safe speed is its own).
         """
-        closing = max(0.0, speed_mps**2 - gap.ahead_speed_mps**2) / (2 * self._config.emergency_braking_mps2)
-        ahead = self._config.standstill_gap_m + GATE_TIME_S * speed_mps + closing
-        closing = max(0.0, gap.behind_speed_mps**2 - speed_mps**2) / (2 * FOLLOWER_BRAKING_MPS2)
-        behind = self._config.standstill_gap_m + GATE_TIME_S * gap.behind_speed_mps + closing
+        ahead = _stopping_gap(speed_mps, gap.ahead_speed_mps, self._config.emergency_braking_mps2)
+        ahead += self._config.standstill_gap_m + self._config.time_gap_s * speed_mps
+        behind = _stopping_gap(gap.behind_speed_mps, speed_mps, FOLLOWER_BRAKING_MPS2)
+        behind += self._config.standstill_gap_m + FOLLOWER_TIME_GAP_S * gap.behind_speed_mps
         return gap.ahead_m >= ahead and gap.behind_m >= behind
 
     def _sideways(self, side: Side, speed: float, host: HostState, gaps: Callable[[int], Gaps]) -> Command:
@@ -156,6 +156,11 @@ class Adas:
             self._crossed = False
             return -side
         return 0
+
+
+def _stopping_gap(speed_mps: float, leader_mps: float, braking_mps2: float) -> float:
+    """Return how much farther the one behind needs to stop than its leader, both braking alike; never negative."""
+    return max(0.0, speed_mps**2 - leader_mps**2) / (2 * braking_mps2)
 
 
 class HandsOff:

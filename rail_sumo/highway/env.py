@@ -13,14 +13,16 @@ from rail_sumo.highway import road
 from rail_sumo.highway.adas import Adas, HandsOff
 from rail_sumo.highway.lidar import Boxes, Lidar
 from rail_sumo.highway.observation import Layout
-from rail_sumo.highway.passing import PassCounter
+from rail_sumo.highway.passing import NEAR_M, PassCounter
 from rail_sumo.highway.reward import reward
-from rail_sumo.highway.simulation import Simulation
+from rail_sumo.highway.simulation import HOST, Simulation
 from rail_sumo.highway.traffic import Demand, MovingWindow, Traffic
 from rail_sumo.records import KMH, SECONDS_PER_STEP, EndReason, Floats, Gaps, HostState, MetaAction, Scene, Trajectory
 
 WINDOW_MARGIN_M = 50.0
-"""Room beyond the traffic window: before the road's start and end, and (twice) to still see who has just left it."""
+"""Room between the traffic window and the road's start, and between the host and the road's end."""
+VEHICLE_M = 20.0
+"""No vehicle reaches farther than this from its front bumper, by which SUMO places it."""
 DEMAND_START_M = 10.0
 """Place on the course where the host enters the user's own traffic."""
 
@@ -83,19 +85,17 @@ class HighwayEnv(gymnasium.Env[Floats, np.int64]):
             routes=self._demand,
             adas=adas,
             seed=self._seed,
-            context_m=max(traffic.ahead_m, traffic.behind_m) + 2 * WINDOW_MARGIN_M,
+            context_m=max(self.config.lidar.max_range_m, NEAR_M) + VEHICLE_M,
         )
         edge = self._road.edges[place[0]]
         lane = edge.first_lane + int(rng.integers(edge.n_lanes))
         edges = self._road.laps(place[0], self.config.episode.course_m + 2 * self._road.length_m)
         if self._demand:
-            self._traffic: Traffic = Demand()
             simulation.run_without_host(traffic.warm_up_s)
-        else:
-            window = MovingWindow(simulation, self._road, traffic, host_s_m=start_m, rng=rng)
-            window.fill(lane)
-            self._traffic = window
         simulation.add_host(edges, lane=lane, front_m=place[1], speed_mps=adas.start_speed_kmh / KMH)
+        self._traffic: Traffic = Demand()
+        if not self._demand:
+            self._traffic = MovingWindow(simulation, self._road, traffic, host_s_m=start_m, host_lane=lane, rng=rng)
         simulation.wait_for_host()
         if self._hands_off:
             simulation.hand_over()
@@ -149,8 +149,8 @@ class HighwayEnv(gymnasium.Env[Floats, np.int64]):
         self._overtakes += overtakes
         self._overtaken += overtaken
         self._scene = scene
-        self._end = self._why_over(scene)
-        self._traffic.update(scene, elapsed_s=driven * SECONDS_PER_STEP, host_changing_lane=adas.changing_lane)
+        self._end = self._why_over()
+        self._traffic.update(elapsed_s=driven * SECONDS_PER_STEP, host_changing_lane=adas.changing_lane)
         self._observation = self._layout.observe(
             *self._scan(scene), speed_mps=scene.speed_mps[0], lateral_m=adas.lateral_m
         )
@@ -172,15 +172,16 @@ class HighwayEnv(gymnasium.Env[Floats, np.int64]):
             ),
         )
 
-    def _why_over(self, scene: Scene) -> EndReason | None:
+    def _why_over(self) -> EndReason | None:
         assert self._simulation is not None
         if self._simulation.contact:
             return "collision"
-        if scene.travelled_m[0] >= self._end_m:
+        travelled_m = self._simulation.travelled_m(HOST)
+        if travelled_m >= self._end_m:
             return "course"
         if len(self._lane_changing) * SECONDS_PER_STEP >= self.config.episode.duration_s:
             return "duration"
-        return "end of road" if scene.travelled_m[0] >= self._road_end_m else None
+        return "end of road" if travelled_m >= self._road_end_m else None
 
     @property
     def scene(self) -> Scene:

@@ -1,5 +1,7 @@
 """Who passes whom."""
 
+import math
+
 import numpy as np
 
 from rail_sumo.records import Scene
@@ -23,12 +25,13 @@ class PassCounter:
     def update(self, scene: Scene) -> tuple[int, int]:
         """Return how many vehicles the host overtook, and how many overtook it, since the last look."""
         east, north = scene.x_m - scene.x_m[0], scene.y_m - scene.y_m[0]
-        along = east * np.cos(scene.heading_rad[0]) + north * np.sin(scene.heading_rad[0])
-        clear = 0.5 * (scene.length_m + scene.length_m[0])
-        ids, near = scene.ids, east * east + north * north < NEAR_M * NEAR_M
-        ahead = {ids[i] for i in np.flatnonzero(near & (along > clear))}
-        behind = {ids[i] for i in np.flatnonzero(near & (along < -clear))}
-        alongside = {ids[i] for i in np.flatnonzero(near & (np.abs(along) <= clear))}
+        along = east * math.cos(scene.heading_rad[0]) + north * math.sin(scene.heading_rad[0])
+        near = np.flatnonzero(east * east + north * north < NEAR_M * NEAR_M)[1:]  # without the host itself
+        ahead, behind, alongside = set(), set(), set()
+        for index, distance in zip(near.tolist(), along[near].tolist(), strict=True):
+            clear = 0.5 * (scene.length_m[index] + scene.length_m[0])
+            side = ahead if distance > clear else behind if distance < -clear else alongside
+            side.add(scene.ids[index])
         overtakes, overtaken = len(self._ahead & behind), len(self._behind & ahead)
         self._ahead = ahead | (self._ahead & alongside)
         self._behind = behind | (self._behind & alongside)

@@ -29,12 +29,10 @@ WAIT_S = 120.0
 LEADER_RANGE_M = 100.0
 NO_GAP = Gaps(math.inf, 0.0, math.inf, 0.0)
 
-_IN_CONTEXT = (
+POSITION, ANGLE, SPEED = _IN_CONTEXT = (
     constants.VAR_POSITION,
     constants.VAR_ANGLE,
     constants.VAR_SPEED,
-    constants.VAR_LANE_INDEX,
-    constants.VAR_DISTANCE,
 )
 
 
@@ -89,6 +87,7 @@ class Simulation:
                 *(("--route-files", ",".join(map(str, routes))) if routes else ()),
                 *("--step-length", str(SECONDS_PER_STEP), "--seed", str(seed)),
                 *("--collision.action", "warn", "--collision.mingap-factor", "0", "--time-to-teleport", "-1"),
+                *(() if routes else ("--max-depart-delay", "0")),  # a vehicle of the window enters at once or not at all
                 *("--no-step-log", "true", "--no-warnings", "true", "--xml-validation", "never"),
                 *outputs,
             ]
@@ -164,16 +163,26 @@ class Simulation:
         libsumo.vehicle.remove(name)
         self._sizes.pop(name, None)
 
-    def order_lane_change(self, name: str, lane: int) -> None:
-        """Tell a vehicle to change to `lane` on the next step if the gap there is safe; else nothing happens."""
-        libsumo.vehicle.changeLane(name, lane, 0.0)
+    def order_lane_change(self, name: str, side: int) -> None:
+        """Tell a vehicle to change to the left (+1) or right (-1) on the next step.
 
-    def is_on_road(self, name: str) -> bool:
-        """Whether a vehicle has been inserted and has not arrived."""
-        return name in libsumo.vehicle.getIDList()
+        It does if there is a lane and the gap is safe; else nothing happens.
+        """
+        edge = self._edges.get(libsumo.vehicle.getRoadID(name))
+        lane = libsumo.vehicle.getLaneIndex(name) + side
+        if edge is not None and edge.first_lane <= lane < edge.first_lane + edge.n_lanes:
+            libsumo.vehicle.changeLane(name, lane, 0.0)
+
+    def on_road(self) -> set[str]:
+        """Return the names of all vehicles that have been inserted and have not arrived."""
+        return set(libsumo.vehicle.getIDList())
+
+    def travelled_m(self, name: str) -> float:
+        """Return a vehicle's odometer: metres driven since its insertion."""
+        return libsumo.vehicle.getDistance(name)
 
     def wait_for_host(self) -> None:
-        """Let the traffic drive until there is room for the host, then observe it and what is around it.
+        """Let the traffic drive until there is room for the host.
 
         Raises:
             InputError: no room within `WAIT_S`.
@@ -187,7 +196,6 @@ class Simulation:
                 f"the host found no gap to enter the traffic within {WAIT_S:.0f} s; "
                 "use a lighter demand or another network"
             )
-        libsumo.vehicle.subscribeContext(HOST, constants.CMD_GET_VEHICLE_VARIABLE, self._context_m, _IN_CONTEXT)
         self.speeds_mps.append(libsumo.vehicle.getSpeed(HOST))
 
     def hand_over(self) -> None:
@@ -198,13 +206,13 @@ class Simulation:
 
     def scene(self) -> Scene:
         """Return the host and every vehicle within the context's radius."""
+        # Subscribed for one look: a standing subscription costs half a step more on every step.
+        libsumo.vehicle.subscribeContext(HOST, constants.CMD_GET_VEHICLE_VARIABLE, self._context_m, _IN_CONTEXT)
         around = libsumo.vehicle.getContextSubscriptionResults(HOST)
-        if HOST in around:  # it is first, the others follow in the order of their names
-            around = {HOST: around[HOST], **around}
+        libsumo.vehicle.unsubscribeContext(HOST, constants.CMD_GET_VEHICLE_VARIABLE, self._context_m)
+        around = {HOST: around.pop(HOST), **around}  # the host first, the others in the order of their names
         names = list(around)
-        rows = np.array(
-            [(*row[_IN_CONTEXT[0]], *(row[variable] for variable in _IN_CONTEXT[1:])) for row in around.values()]
-        )
+        rows = np.array([(*row[POSITION], row[ANGLE], row[SPEED]) for row in around.values()])
         sizes = np.array([self._size(name) for name in names])
         heading = np.radians(90.0 - rows[:, 2])
         back = 0.5 * sizes[:, 0]
@@ -217,8 +225,6 @@ class Simulation:
             speed_mps=rows[:, 3],
             length_m=sizes[:, 0],
             width_m=sizes[:, 1],
-            lane=rows[:, 4].astype(np.int64),
-            travelled_m=rows[:, 5],
         )
 
     def _size(self, name: str) -> tuple[float, float]:

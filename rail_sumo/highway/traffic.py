@@ -7,8 +7,8 @@ import numpy as np
 
 from rail_sumo import config
 from rail_sumo.highway.road import Road
-from rail_sumo.highway.simulation import Simulation
-from rail_sumo.records import KMH, Scene
+from rail_sumo.highway.simulation import HOST, Simulation
+from rail_sumo.records import KMH
 
 START_GAP_M = 30.0
 """Room around a vehicle in its lane when it appears."""
@@ -20,14 +20,14 @@ lane from either side do not see each other until it is late."""
 class Traffic(Protocol):
     """What an episode asks of its traffic."""
 
-    def update(self, scene: Scene, *, elapsed_s: float, host_changing_lane: bool) -> None:
-        """Look at the scene, let vehicles come and go, and have some of them change lanes."""
+    def update(self, *, elapsed_s: float, host_changing_lane: bool) -> None:
+        """Let vehicles come and go, and have some of them change lanes."""
 
 
 class Demand:
     """The user's own vehicles, from route files; SUMO drives them and nothing is added."""
 
-    def update(self, scene: Scene, *, elapsed_s: float, host_changing_lane: bool) -> None:
+    def update(self, *, elapsed_s: float, host_changing_lane: bool) -> None:
         """Leave the traffic to itself."""
 
 
@@ -42,11 +42,19 @@ class MovingWindow:
         road: the course they share with the host.
         traffic: how many, where, how fast.
         host_s_m: place on the course where the host starts, its front.
+        host_lane: the lane it starts on.
         rng: every random choice of this traffic.
     """
 
     def __init__(
-        self, simulation: Simulation, road: Road, traffic: config.Traffic, *, host_s_m: float, rng: np.random.Generator
+        self,
+        simulation: Simulation,
+        road: Road,
+        traffic: config.Traffic,
+        *,
+        host_s_m: float,
+        host_lane: int,
+        rng: np.random.Generator,
     ) -> None:
         self._simulation = simulation
         self._road = road
@@ -55,8 +63,9 @@ class MovingWindow:
         self._rng = rng
         self._names = count()
         self._start_m: dict[str, float] = {}  # place on the course at insertion; an odometer adds the rest
+        self._fill(host_lane)
 
-    def fill(self, host_lane: int) -> None:
+    def _fill(self, host_lane: int) -> None:
         """Place vehicles all over the window at random, clear of one another and of the host."""
         taken: list[tuple[int, float]] = [(host_lane, 0.0)]
         for _ in range(self._config.vehicles):
@@ -68,29 +77,33 @@ class MovingWindow:
                     taken.append((lane, ahead_m))
                     break
 
-    def update(self, scene: Scene, *, elapsed_s: float, host_changing_lane: bool) -> None:
-        """Replace who left the window, then let each vehicle change lanes with the configured mean time between."""
-        host_m = self._host_start_m + scene.travelled_m[0]
-        ahead_m = np.array([self._start_m[name] for name in scene.ids[1:]]) + scene.travelled_m[1:] - host_m
-        inside = (ahead_m < self._config.ahead_m) & (ahead_m > -self._config.behind_m)
-        self._order_lane_changes(scene, inside, elapsed_s, host_changing_lane)
-        missing = self._config.vehicles - int(inside.sum())
-        if missing:
-            for index in np.flatnonzero(~inside):
-                name = scene.ids[1 + index]
-                self._simulation.remove_vehicle(name)
-                del self._start_m[name]
-            for _ in range(missing):
-                self._replace(scene, ahead_m[inside], scene.lane[1:][inside], host_m)
+    def update(self, *, elapsed_s: float, host_changing_lane: bool) -> None:
+        """Replace who left the window, then let each vehicle try a lane change once in the configured mean time."""
+        host_m = self._host_start_m + self._simulation.travelled_m(HOST)
+        ahead_m = self._ahead_m(host_m)
+        for name in [name for name, ahead in ahead_m.items() if not self._holds(ahead)]:
+            self._simulation.remove_vehicle(name)
+            del self._start_m[name], ahead_m[name]
+        self._order_lane_changes(ahead_m, elapsed_s / self._config.lane_change_every_s, host_changing_lane)
+        for _ in range(self._config.vehicles - len(ahead_m)):
+            self._replace(host_m)
 
-    def _replace(self, scene: Scene, ahead_m: np.ndarray, lanes: np.ndarray, host_m: float) -> None:
-        """Bring in one vehicle at an edge of the window; leave it for later where there is no room."""
-        desired = self._draw_speed_mps()
-        slower = desired < scene.speed_mps[0]
-        place = self._config.ahead_m - 1.0 if slower else -self._config.behind_m + 1.0
-        lane = self._draw_lane(host_m + place)
-        if not np.any((lanes == lane) & (np.abs(ahead_m - place) < START_GAP_M)):
-            self._insert(place, host_m, lane, desired)
+    def _ahead_m(self, host_m: float) -> dict[str, float]:
+        """Return how far ahead of the host each vehicle is; one that SUMO found no room for is forgotten."""
+        on_road = self._simulation.on_road()
+        self._start_m = {name: start for name, start in self._start_m.items() if name in on_road}
+        travelled_m = self._simulation.travelled_m
+        return {name: start + travelled_m(name) - host_m for name, start in self._start_m.items()}
+
+    def _holds(self, ahead_m: float) -> bool:
+        return -self._config.behind_m < ahead_m < self._config.ahead_m
+
+    def _replace(self, host_m: float) -> None:
+        """Bring in one vehicle just inside an edge of the window; where there is no room, the next update tries again."""
+        desired_mps = self._draw_speed_mps()
+        slower = desired_mps < self._simulation.speeds_mps[-1]
+        ahead_m = self._config.ahead_m - 1.0 if slower else 1.0 - self._config.behind_m
+        self._insert(ahead_m, host_m, self._draw_lane(host_m + ahead_m), desired_mps)
 
     def _insert(self, ahead_m: float, host_m: float, lane: int, desired_mps: float) -> None:
         place = self._road.place(host_m + ahead_m)
@@ -103,15 +116,11 @@ class MovingWindow:
         self._simulation.add_vehicle(name, edges, lane=lane, front_m=front_m, desired_speed_mps=desired_mps)
         self._start_m[name] = host_m + ahead_m
 
-    def _order_lane_changes(self, scene: Scene, inside: np.ndarray, elapsed_s: float, host_changing_lane: bool) -> None:
-        draws = self._rng.random((2, len(inside)))  # for everyone, so that one vehicle's fate does not move another's
-        chosen = inside & (draws[0] < elapsed_s / self._config.lane_change_every_s)
-        if host_changing_lane:
-            east, north = scene.x_m[1:] - scene.x_m[0], scene.y_m[1:] - scene.y_m[0]
-            chosen &= east * east + north * north > CLEAR_OF_CHANGE_M**2
-        for index in np.flatnonzero(chosen):
-            lane = int(scene.lane[1 + index]) + (1 if draws[1, index] < 0.5 else -1)
-            self._simulation.order_lane_change(scene.ids[1 + index], lane)
+    def _order_lane_changes(self, ahead_m: dict[str, float], probability: float, host_changing_lane: bool) -> None:
+        draws = self._rng.random(len(ahead_m)).tolist()
+        for (name, ahead), draw in zip(ahead_m.items(), draws, strict=True):
+            if draw < probability and not (host_changing_lane and abs(ahead) < CLEAR_OF_CHANGE_M):
+                self._simulation.order_lane_change(name, 1 if draw < 0.5 * probability else -1)
 
     def _draw_speed_mps(self) -> float:
         return self._rng.uniform(self._config.speed_low_kmh, self._config.speed_high_kmh) / KMH

@@ -1,0 +1,47 @@
+# `make train` and `make test` set everything up themselves, in .venv, on a machine with Python 3.11 or later.
+# ARGS goes to the command: make train ARGS="--seed 3 --set train.iterations=10"
+PYTHON ?= python3
+VENV ?= .venv
+OUT ?= runs/first
+ARGS ?=
+
+BIN = $(VENV)/bin
+NETWORKS = networks/highway3.net.xml networks/highway5.net.xml networks/ring5.net.xml
+
+.PHONY: setup train test lint networks clean
+
+setup: $(VENV)/installed
+
+train: setup
+	$(BIN)/rail-sumo train --out $(OUT) $(ARGS)
+
+test: setup
+	$(BIN)/pytest $(ARGS)
+
+lint: setup
+	$(BIN)/ruff check .
+	$(BIN)/ruff format --check .
+	$(BIN)/mypy
+	$(BIN)/lint-imports
+
+# Rebuild the committed networks from their sources. The header that netconvert writes (a date, absolute paths) is cut.
+networks: $(VENV)/netconvert
+	$(PYTHON) networks/ring5/circle.py
+	$(MAKE) --always-make $(NETWORKS)
+
+networks/%.net.xml:
+	cd networks/$* && $(abspath $(BIN))/netconvert -c $*.netccfg
+	sed -i.header -e '/^<!--/,/-->$$/d' -e '/^$$/d' $@ && rm $@.header
+
+clean:
+	rm -rf $(VENV)
+
+$(VENV)/installed: pyproject.toml constraints.txt
+	$(PYTHON) -m venv $(VENV)
+	$(BIN)/python -m pip install -c constraints.txt --upgrade pip
+	$(BIN)/python -m pip install -c constraints.txt --group dev -e .
+	touch $@
+
+$(VENV)/netconvert: $(VENV)/installed
+	$(BIN)/python -m pip install -c constraints.txt -e ".[networks]"
+	touch $@

@@ -1,0 +1,246 @@
+"""The command line: parses, calls, prints."""
+
+# Rollout workers import this module again, and `--help` is to be quick: what is slow to import (torch, pandas, SUMO)
+# is imported by the command that needs it.
+import json
+import os
+import sys
+from collections.abc import Iterator, Mapping
+from contextlib import contextmanager
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Literal
+
+import typer
+from rich.console import Console
+from rich.markup import escape
+from rich.progress import BarColumn, MofNCompleteColumn, Progress, TaskID, TextColumn, TimeRemainingColumn
+
+from rail_sumo import config
+from rail_sumo.errors import InputError
+
+if TYPE_CHECKING:
+    from rail_sumo.highway.road import Road
+    from rail_sumo.run import Tables
+
+app = typer.Typer(
+    help="Learn a highway driver from demonstrations, without gradients, on SUMO.",
+    no_args_is_help=True,
+    add_completion=False,
+    pretty_exceptions_enable=False,
+)
+expert = typer.Typer(help="Train the expert; record demonstrations of any driver.", no_args_is_help=True)
+network = typer.Typer(help="Look at networks before driving on them.", no_args_is_help=True)
+app.add_typer(expert, name="expert")
+app.add_typer(network, name="network")
+
+ConfigFile = Annotated[Path | None, typer.Argument(metavar="CONFIG.toml", help="Without one, all defaults.")]
+Overrides = Annotated[
+    list[str] | None, typer.Option("--set", metavar="SECTION.KEY=VALUE", help="Change one key; repeatable.")
+]
+_SEED = "Everything random follows from it."
+Seed = Annotated[int, typer.Option(min=0, help=_SEED)]
+Workers = Annotated[str, typer.Option(metavar="N|ray", help="Processes that drive.", show_default="as many as cores")]
+Overwrite = Annotated[bool, typer.Option("--overwrite", help="Replace what is there.")]
+
+
+def main() -> None:
+    """Run the command line. A user's mistake is one line on stderr and exit code 2."""
+    try:
+        app()
+    except InputError as error:
+        print(f"rail-sumo: {error}", file=sys.stderr)
+        sys.exit(2)
+
+
+@app.command()
+def train(
+    config_file: ConfigFile = None,
+    overrides: Overrides = None,
+    out: Annotated[Path | None, typer.Option(help="Run directory.", show_default="runs/CONFIG-seedS")] = None,
+    workers: Workers = "",
+    resume: Annotated[bool, typer.Option("--resume", help="Go on with an interrupted run.")] = False,
+    seed: Annotated[int | None, typer.Option(min=0, help=_SEED, show_default="0")] = None,
+) -> None:
+    """Learn a driver from demonstrations and set it beside its clone and the expert."""
+    from rail_sumo import run
+    from rail_sumo.run_directory import RunDirectory
+
+    out = out or Path("runs", f"{config_file.stem if config_file else 'default'}-seed{seed or 0}")
+    chosen = config.load(config_file, overrides or ())
+    if resume:  # as it was started, where nothing else is said
+        started = RunDirectory(out)
+        chosen = chosen if config_file or overrides else started.config
+        seed = started.seed if seed is None else seed
+    n_workers = _workers(workers)
+    try:
+        with _bars() as observer:
+            tables = run.train(chosen, out, seed=seed or 0, workers=n_workers, resume=resume, observer=observer)
+    except KeyboardInterrupt:
+        hint = f"; go on with: rail-sumo train --out {out} --resume" if out.exists() else ""
+        print(f"rail-sumo: interrupted{hint}", file=sys.stderr)
+        raise typer.Exit(130) from None
+    _show(tables, out)
+
+
+@app.command("eval")
+def evaluate(
+    policies: Annotated[list[str], typer.Argument(metavar="POLICY...", help="Run directories and drivers' names.")],
+    network: Annotated[str | None, typer.Option(metavar="FILE", help="A .net.xml or a shipped network's name.")] = None,
+    routes: Annotated[list[str] | None, typer.Option(metavar="FILE", help="Your own demand; repeatable.")] = None,
+    overrides: Overrides = None,
+    episodes: Annotated[int, typer.Option(help="Episodes per policy, on the same traffic for all.")] = 16,
+    seed: Seed = 0,
+    workers: Workers = "",
+    out: Annotated[Path | None, typer.Option(help="Folder for the tables, as CSV and Parquet.")] = None,
+    overwrite: Overwrite = False,
+) -> None:
+    """Drive policies through the same held-out traffic and compare them.
+
+    The world is that of the first run directory among the policies, or the default, changed by the options.
+    """
+    from rail_sumo import report, run
+
+    if out:
+        report.check(out, overwrite=overwrite)
+    n_workers = _workers(workers)
+    # Strings in JSON are strings in TOML.
+    given = [f"network.file={json.dumps(network)}"] if network else []
+    given += [f"traffic.routes={json.dumps(routes)}"] if routes else []
+    world = run.world(policies, [*given, *(overrides or ())])
+    who = {policy: run.find_driver(policy, world) for policy in policies}
+    with _bars() as observer:
+        tables = run.evaluate(who, world, episodes=episodes, seed=seed, workers=n_workers, observer=observer)
+    if out:
+        report.write(*tables, out, overwrite=overwrite)
+    _show(tables, out)
+
+
+@expert.command("train")
+def train_expert(
+    config_file: ConfigFile = None,
+    overrides: Overrides = None,
+    out: Annotated[Path | None, typer.Option(help="Folder for the expert.", show_default="runs/expert-seedS")] = None,
+    seed: Seed = 0,
+) -> None:
+    """Train an expert by PPO with invalid actions masked."""
+    from rail_sumo import run
+
+    out = out or Path("runs", f"expert-seed{seed}")
+    with _bars() as observer:
+        run.train_expert(config.load(config_file, overrides or ()), out, seed=seed, observer=observer)
+    print(f"expert in {out}")
+
+
+@expert.command()
+def record(
+    out: Annotated[Path, typer.Option(metavar="FILE.parquet", help="Where the demonstrations go.")],
+    config_file: ConfigFile = None,
+    driver: Annotated[str, typer.Option(metavar="NAME", help="A driver's name or a run directory.")] = "expert",
+    episodes: Annotated[int, typer.Option(help="Episodes to record.")] = 40,
+    overrides: Overrides = None,
+    seed: Seed = 0,
+    workers: Workers = "",
+    overwrite: Overwrite = False,
+) -> None:
+    """Record what a driver sees and decides, for `train.demonstrations` to learn from."""
+    from rail_sumo import run
+
+    world = config.load(config_file, overrides or ())
+    n_workers = _workers(workers)
+    with _bars() as observer:
+        demonstrations = run.demonstrate(
+            driver,
+            world,
+            out,
+            episodes=episodes,
+            seed=seed,
+            workers=n_workers,
+            overwrite=overwrite,
+            observer=observer,
+        )
+    print(f"{len(demonstrations.actions)} decisions from {episodes} episodes in {out}")
+
+
+@network.command()
+def check(file: Annotated[str, typer.Argument(help="A .net.xml or a shipped network's name.")]) -> None:
+    """Tell where on a network rail-sumo would drive, and what may go wrong there."""
+    from rail_sumo.highway import road
+
+    checked = road.check(file)
+    print(_describe(checked.road))
+    for warning in checked.warnings:
+        print(f"warning: {warning}")
+
+
+@network.command("list")
+def list_networks() -> None:
+    """List the networks that come with rail-sumo."""
+    from rail_sumo import assets
+    from rail_sumo.highway import road
+
+    for name in assets.network_names():
+        print(_describe(road.load(name)))
+
+
+def _describe(road: "Road") -> str:
+    lanes = [edge.n_lanes for edge in road.edges]
+    count = f"{min(lanes)} to {max(lanes)}" if min(lanes) < max(lanes) else f"{max(lanes)}"
+    return f"{road.name}: {'loop' if road.is_loop else 'road'} of {road.length_m:,.0f} m with {count} lanes"
+
+
+def _workers(text: str) -> int | Literal["ray"]:
+    if text == "ray":
+        return "ray"
+    if not text:
+        return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
+    if not text.isdecimal() or int(text) < 1:
+        raise InputError(f"--workers takes a number of processes from 1 up, or ray; got '{text}'")
+    return int(text)
+
+
+# What a bar tells of the part just done, of whatever it is told.
+_FIGURES = {
+    "mean_return": "reward {:+.2f}",
+    "judge_expert_mean": "judge {:.2f} expert",
+    "judge_learner_mean": "{:.2f} learner",
+    "speed_kmh": "{:.1f} km/h",
+    "lane_changes": "{:.1f} lane changes",
+}
+
+
+class _Bars:
+    """An `Observer` that draws a bar for each piece of work."""
+
+    def __init__(self, progress: Progress) -> None:
+        self._progress = progress
+        self._task = TaskID(0)
+
+    def start(self, work: str, total: int, done: int = 0) -> None:
+        self._task = self._progress.add_task(work, total=total, completed=done, figures="")
+
+    def advance(self, figures: Mapping[str, float]) -> None:
+        told = ", ".join(form.format(figures[name]) for name, form in _FIGURES.items() if name in figures)
+        self._progress.update(self._task, advance=1, figures=told)
+
+
+@contextmanager
+def _bars() -> Iterator[_Bars]:
+    columns = (
+        TextColumn("{task.description}"),
+        BarColumn(bar_width=20),
+        MofNCompleteColumn(),
+        TimeRemainingColumn(),
+        TextColumn("{task.fields[figures]}"),
+    )
+    console = Console(stderr=True)
+    with Progress(*columns, console=console, disable=not console.is_terminal) as progress:
+        yield _Bars(progress)
+
+
+def _show(tables: "Tables", out: Path | None) -> None:
+    from rail_sumo import report
+
+    console = Console() if sys.stdout.isatty() else Console(width=100)
+    console.print(report.table(tables[1]))
+    if out:
+        console.print(f"tables in {escape(str(out))}", soft_wrap=True)

@@ -1,0 +1,59 @@
+"""Behaviour cloning: where RAIL starts, and a baseline."""
+
+import numpy as np
+import torch
+from torch.nn import functional
+
+from rail_sumo import config
+from rail_sumo.imitation.demonstrations import Demonstrations
+from rail_sumo.imitation.perceptron import perceptron
+from rail_sumo.policy import N_ACTIONS, Shape, Whitening
+from rail_sumo.records import Floats
+
+
+def clone(
+    demonstrations: Demonstrations, shape: Shape, whitening: Whitening, cloning: config.Cloning, seed: int
+) -> Floats:
+    """Fit a policy to what was demonstrated, by softmax cross-entropy on whitened observations.
+
+    Args:
+        demonstrations: what was seen and decided; observations of shape (n, shape.n_features).
+        shape: the layout of theta.
+        whitening: the policy's own.
+        cloning: epochs (0 returns the network it would start from), batch size, Adam's rate, L2 weight decay.
+        seed: of the first weights and of the order of the minibatches; the same seed gives the same theta.
+
+    Returns:
+        theta, shape (shape.size,), in the layout of `policy.unflatten`.
+
+    Raises:
+        ValueError: the demonstrations' observations do not fit the shape.
+    """
+    if demonstrations.observations.shape[1] != shape.n_features:
+        raise ValueError(
+            f"demonstrations must have {shape.n_features} features for {shape}; "
+            f"got {demonstrations.observations.shape[1]}"
+        )
+    rng = np.random.default_rng(np.random.SeedSequence(seed, spawn_key=tuple(b"clone")))
+    hidden = [] if shape.hidden is None else [shape.hidden]
+    network = perceptron([shape.n_features, *hidden, N_ACTIONS], rng)
+    adam = torch.optim.Adam(network.parameters(), lr=cloning.learning_rate, weight_decay=cloning.weight_decay)
+
+    whitened = (demonstrations.observations - whitening.mean) / whitening.std
+    observations = torch.from_numpy(whitened.astype(np.float32))
+    actions = torch.from_numpy(demonstrations.actions)
+    for _ in range(cloning.epochs):
+        order = torch.from_numpy(rng.permutation(len(actions)))
+        for batch in order.split(cloning.batch_size):
+            loss = functional.cross_entropy(network(observations[batch]), actions[batch])
+            adam.zero_grad()
+            loss.backward()
+            adam.step()
+    return _flatten(network)
+
+
+def _flatten(network: torch.nn.Sequential) -> Floats:
+    """Return the weights as `policy.unflatten` splits them: each layer's matrix with its bias as last column."""
+    layers = [layer for layer in network if isinstance(layer, torch.nn.Linear)]
+    matrices = [torch.column_stack([layer.weight, layer.bias]) for layer in layers]
+    return torch.cat([matrix.flatten() for matrix in matrices]).detach().numpy().astype(np.float64)

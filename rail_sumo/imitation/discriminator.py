@@ -1,0 +1,193 @@
+"""The judge: tells the expert's decisions from the learner's, and rewards what it takes for the expert's.
+
+Source: least-squares GAN (Mao et al. 2017) in Shin & Kim (IJCAI 2019), with one change. Their D is linear, so that
+some of its outputs leave (0, 1), where log D - log(1 - D) is undefined and a clamp decides the reward. Ours ends in a
+sigmoid, which makes that reward the network's own output, the logit.
+"""
+
+from collections import deque
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+import torch
+from numpy.typing import NDArray
+from torch import Tensor
+
+from rail_sumo import config
+from rail_sumo.imitation.demonstrations import Demonstrations
+from rail_sumo.imitation.perceptron import perceptron
+from rail_sumo.policy import N_ACTIONS, Whitening
+from rail_sumo.records import Floats, Trajectory
+
+EXPERT_LABEL = 1.0
+LEARNER_LABEL = 0.0
+
+
+@dataclass(frozen=True)
+class JudgeLoss:
+    """How well the judge tells expert and learner apart after a fit."""
+
+    loss: float
+    """Least-squares loss, without the gradient penalty; 0.25 when they look the same, 0.0 when nothing is in doubt."""
+    expert_mean: float
+    """Mean of D over the expert's pairs."""
+    learner_mean: float
+    """Mean of D over the learner's newest pairs."""
+
+
+class Judge:
+    """D(observation, action) in (0, 1), the expert's label at 1.
+
+    Args:
+        n_features: length of an observation.
+        whitening: observations are centred and scaled by it before they are judged.
+        settings: network, training and reward.
+        seed: of the first weights; all other chance is handed to `fit`.
+        horizon_decisions: decisions in a rollout that nothing cuts short; see `returns`.
+
+    Raises:
+        ValueError: whitening does not fit n_features.
+    """
+
+    def __init__(
+        self, n_features: int, whitening: Whitening, settings: config.Judge, seed: int, horizon_decisions: int
+    ) -> None:
+        if whitening.mean.shape != (n_features,):
+            raise ValueError(f"whitening must have shape ({n_features},); got {whitening.mean.shape}")
+        rng = np.random.default_rng(np.random.SeedSequence(seed, spawn_key=tuple(b"judge")))
+        self._whitening = whitening
+        self._settings = settings
+        self._horizon_decisions = horizon_decisions
+        self._logit = perceptron([n_features + N_ACTIONS, *settings.hidden, 1], rng)
+        self._adam = torch.optim.Adam(self._logit.parameters(), lr=settings.learning_rate)
+        # Pairs of earlier iterations, oldest first; each fit adds the newest one's itself.
+        self._replay: deque[Tensor] = deque(maxlen=settings.replay_iterations - 1)
+
+    def fit(self, expert: Demonstrations, learner: Sequence[Trajectory], rng: np.random.Generator) -> JudgeLoss:
+        """Train on minibatches of `batch_size` pairs from either side, drawn with replacement.
+
+        Args:
+            expert: what was demonstrated.
+            learner: the newest rollouts; those of the last `replay_iterations` fits are trained on, these included.
+            rng: draws the minibatches.
+        """
+        expert_pairs = self._pairs(expert.observations, expert.actions)
+        newest_pairs = self._pairs(*_decisions(learner))
+        learner_pairs = torch.cat([*self._replay, newest_pairs])
+        for _ in range(self._settings.minibatches):
+            expert_batch = _draw(expert_pairs, self._settings.batch_size, rng)
+            learner_batch = _draw(learner_pairs, self._settings.batch_size, rng)
+            loss = least_squares(self._judge(expert_batch), self._judge(learner_batch))
+            penalty = self._squared_slope(expert_batch, learner_batch, rng)
+            self._adam.zero_grad()
+            (loss + self._settings.gradient_penalty * penalty).backward()
+            self._adam.step()
+        self._replay.append(newest_pairs)
+
+        with torch.inference_mode():
+            on_expert, on_learner = self._judge(expert_pairs), self._judge(newest_pairs)
+        return JudgeLoss(least_squares(on_expert, on_learner).item(), on_expert.mean().item(), on_learner.mean().item())
+
+    def rewards(self, observations: Floats, actions: NDArray[np.int64]) -> Floats:
+        """Return log D - log(1 - D), clipped at ±reward_clip, of each of n pairs.
+
+        Args:
+            observations: shape (n, n_features).
+            actions: shape (n,).
+        """
+        with torch.inference_mode():
+            logits = self._logit(self._pairs(observations, actions))[:, 0]
+        return logits.numpy().astype(np.float64).clip(-self._settings.reward_clip, self._settings.reward_clip)
+
+    def returns(self, trajectories: Sequence[Trajectory]) -> Floats:
+        """Return each rollout's mean reward per decision, shape (n_trajectories,).
+
+        A collision leads into an absorbing state, which earns the lowest reward from there to the horizon, and for one
+        decision at least: where most rewards are negative, cutting them short must not pay (Kostrikov et al. 2019).
+
+        Raises:
+            ValueError: a rollout without a decision.
+        """
+        if not trajectories:
+            return np.empty(0)
+        rewards = self.rewards(*_decisions(trajectories))
+        ends = np.cumsum([len(trajectory.actions) for trajectory in trajectories])
+        return np.array([
+            self._return(of_rollout, crashed=trajectory.end_reason == "collision")
+            for of_rollout, trajectory in zip(np.split(rewards, ends[:-1]), trajectories, strict=True)
+        ])  # fmt: skip
+
+    def state(self) -> dict[str, NDArray[Any]]:
+        """Return copies of all that a later fit depends on: weights, Adam's moments, replayed pairs."""
+        state = {}
+        for name, parameter in self._logit.named_parameters():
+            state[f"network.{name}"] = parameter.detach().numpy().copy()
+            for moment, value in self._adam.state[parameter].items():  # none before the first fit
+                state[f"adam.{name}.{moment}"] = value.numpy().copy()
+        for age, pairs in enumerate(reversed(self._replay), start=1):
+            state[f"replay.{age}"] = pairs.numpy().copy()
+        return state
+
+    def load_state(self, state: Mapping[str, NDArray[Any]]) -> None:
+        """Go on from what `state` returned.
+
+        Raises:
+            KeyError: a weight is missing.
+            ValueError: a weight has another shape than this judge's.
+        """
+        for name, parameter in self._logit.named_parameters():
+            weights = state[f"network.{name}"]
+            if weights.shape != parameter.shape:
+                raise ValueError(f"network.{name} must have shape {tuple(parameter.shape)}; got {weights.shape}")
+            with torch.no_grad():
+                parameter.copy_(torch.tensor(weights))
+            prefix = f"adam.{name}."
+            self._adam.state[parameter] = {
+                key.removeprefix(prefix): torch.tensor(value) for key, value in state.items() if key.startswith(prefix)
+            }
+        n_replayed = sum(key.startswith("replay.") for key in state)
+        self._replay.clear()
+        self._replay.extend(torch.tensor(state[f"replay.{age}"]) for age in range(n_replayed, 0, -1))
+
+    def _pairs(self, observations: Floats, actions: NDArray[np.int64]) -> Tensor:
+        """Return the network's inputs, shape (n, n_features + 5): whitened observation, one-hot action."""
+        whitened = (observations - self._whitening.mean) / self._whitening.std
+        return torch.from_numpy(np.hstack([whitened, np.eye(N_ACTIONS)[actions]]).astype(np.float32))
+
+    def _judge(self, pairs: Tensor) -> Tensor:
+        return torch.sigmoid(self._logit(pairs)[:, 0])
+
+    def _squared_slope(self, expert: Tensor, learner: Tensor, rng: np.random.Generator) -> Tensor:
+        """Return the mean squared gradient of D between the two sides: it keeps D from becoming a cliff.
+
+        Source: zero-centred gradient penalty (Thanh-Tung et al. 2019).
+        """
+        share = torch.from_numpy(rng.random((len(expert), 1), dtype=np.float32))
+        between = (share * expert + (1.0 - share) * learner).requires_grad_()
+        (slope,) = torch.autograd.grad(self._judge(between).sum(), between, create_graph=True)
+        return slope.square().sum(dim=1).mean()
+
+    def _return(self, rewards: Floats, *, crashed: bool) -> float:
+        if not crashed:
+            return float(rewards.mean())
+        absorbed = max(self._horizon_decisions - len(rewards), 1)
+        return float((rewards.sum() - self._settings.reward_clip * absorbed) / (len(rewards) + absorbed))
+
+
+def least_squares(on_expert: Tensor, on_learner: Tensor) -> Tensor:
+    """Return the discriminator's least-squares loss from D on either side (Algorithm 1, lines 8 and 9)."""
+    return 0.5 * (on_expert - EXPERT_LABEL).square().mean() + 0.5 * (on_learner - LEARNER_LABEL).square().mean()
+
+
+def _draw(pairs: Tensor, n: int, rng: np.random.Generator) -> Tensor:
+    return pairs[torch.from_numpy(rng.integers(len(pairs), size=n))]
+
+
+def _decisions(trajectories: Sequence[Trajectory]) -> tuple[Floats, NDArray[np.int64]]:
+    """Return what was seen and decided in all of them, end to end."""
+    if not all(len(trajectory.actions) for trajectory in trajectories):
+        raise ValueError("a rollout must have at least one decision to be judged by")
+    observations = np.concatenate([trajectory.observations for trajectory in trajectories])
+    return observations, np.concatenate([trajectory.actions for trajectory in trajectories])

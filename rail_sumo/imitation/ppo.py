@@ -1,0 +1,108 @@
+"""The expert: PPO that never samples an invalid action (the paper's "PPO with specific action controls").
+
+Learns from the environment's reward (`highway.reward`), which no imitator sees.
+"""
+
+from collections.abc import Callable
+
+import numpy as np
+import torch
+from sb3_contrib import MaskablePPO
+from stable_baselines3.common.callbacks import BaseCallback
+
+from rail_sumo.config import Config
+from rail_sumo.highway.env import HighwayEnv
+from rail_sumo.records import Floats
+
+REWARD_SCALE = 0.1
+"""A decision earns around ten steps' reward; PPO's defaults are meant for rewards of about 1."""
+
+Layers = list[tuple[Floats, Floats]]
+
+
+class ScaledHighway(HighwayEnv):
+    """The environment as the expert trains on it: observations in units of about 1, smaller rewards, training episodes.
+
+    Args:
+        config: the world.
+        scale: divides the observation, shape (n_features,).
+        seed: of the first episode; the ones after it draw theirs from it.
+    """
+
+    def __init__(self, config: Config, scale: Floats, seed: int) -> None:
+        super().__init__(config)
+        self._scale = scale
+        self._episode_seeds = np.random.default_rng(seed)
+
+    def reset(self, *, seed: int | None = None, options: dict | None = None) -> tuple[Floats, dict]:
+        """Begin an episode on traffic of its own."""
+        observation, info = super().reset(seed=int(self._episode_seeds.integers(2**31)))
+        return observation / self._scale, info
+
+    def step(self, action: int | np.int64) -> tuple[Floats, float, bool, bool, dict]:
+        """Take one decision."""
+        observation, reward, terminated, truncated, info = super().step(action)
+        return observation / self._scale, REWARD_SCALE * reward, terminated, truncated, info
+
+
+class _Progress(BaseCallback):
+    def __init__(self, observer: Callable[[int], None]) -> None:
+        super().__init__()
+        self._observer = observer
+
+    def _on_step(self) -> bool:
+        self._observer(self.num_timesteps)
+        return True
+
+
+def scale_of(config: Config, n_features: int) -> Floats:
+    """Return what an observation is divided by: the range for distances, 10 m/s for the rest."""
+    frame = n_features // config.observation.frames
+    one = np.full(frame, 10.0)
+    one[: config.lidar.n_rays] = config.lidar.max_range_m
+    return np.tile(one, config.observation.frames)
+
+
+def train(config: Config, seed: int, observer: Callable[[int], None] = lambda _: None) -> Layers:
+    """Train the expert and return its network, whose inputs are plain observations.
+
+    Args:
+        config: the world, and the recipe in its section `expert`.
+        seed: of the networks, the sampling and the traffic.
+        observer: is told the number of decisions taken so far.
+
+    Returns:
+        (weights, biases) of each layer from input to output, for `drivers.Expert`.
+    """
+    expert = config.expert
+    episode = config.episode.model_copy(update={"course_m": float("inf"), "duration_s": expert.horizon_s})
+    world = config.model_copy(update={"episode": episode})
+    scale = scale_of(config, HighwayEnv(config).observation_space.shape[0])
+    env = ScaledHighway(world, scale, seed)
+    try:
+        model = MaskablePPO(
+            "MlpPolicy",
+            env,
+            learning_rate=lambda left: expert.learning_rate * left,
+            n_steps=expert.decisions_per_update,
+            batch_size=expert.batch_size,
+            n_epochs=expert.epochs,
+            gamma=expert.discount,
+            ent_coef=expert.entropy,
+            policy_kwargs={"net_arch": list(expert.hidden), "activation_fn": torch.nn.Tanh},
+            seed=seed,
+            device="cpu",
+        )
+        model.learn(expert.decisions, callback=_Progress(observer))
+    finally:
+        env.close()
+    return _layers(model, scale)
+
+
+def _layers(model: MaskablePPO, scale: Floats) -> Layers:
+    """Read the policy's network out, the observation's scale folded into its first layer."""
+    linear = [m for m in model.policy.mlp_extractor.policy_net if isinstance(m, torch.nn.Linear)]
+    linear.append(model.policy.action_net)
+    layers = [(m.weight.detach().double().numpy().copy(), m.bias.detach().double().numpy().copy()) for m in linear]
+    layers[0] = (layers[0][0] / scale, layers[0][1])
+    return layers

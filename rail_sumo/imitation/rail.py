@@ -1,0 +1,80 @@
+"""Randomized adversarial imitation learning: Algorithm 1 of Shin & Kim (IJCAI 2019)."""
+
+import itertools
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Protocol
+
+import numpy as np
+
+from rail_sumo import config
+from rail_sumo.imitation.demonstrations import Demonstrations
+from rail_sumo.imitation.random_search import RandomSearch
+from rail_sumo.records import Floats, Trajectory
+
+if TYPE_CHECKING:  # its home imports torch, and the algorithm needs none
+    from rail_sumo.imitation.discriminator import JudgeLoss
+
+Evaluate = Callable[[Floats, Floats, int], tuple[list[Trajectory], list[Trajectory]]]
+"""(theta, perturbations, iteration) -> rollouts of theta plus each perturbation, and of theta minus each."""
+
+
+class Judge(Protocol):
+    """Whoever tells expert and learner apart."""
+
+    def fit(self, expert: Demonstrations, learner: Sequence[Trajectory], rng: np.random.Generator) -> "JudgeLoss":
+        """Learn to tell them apart a little better."""
+
+    def returns(self, trajectories: Sequence[Trajectory]) -> Floats:
+        """Return how much like the expert each rollout looks, shape (n_trajectories,); more is better."""
+
+
+@dataclass(frozen=True)
+class RailState:
+    """What an iteration did."""
+
+    iteration: int
+    theta: Floats
+    """The policy after the step."""
+    step_norm: float
+    """How far theta moved; 0.0 where the judge saw no difference."""
+    judge_loss: "JudgeLoss"
+    plus: list[Trajectory]
+    minus: list[Trajectory]
+    """The rollouts it was decided by, from before the step: a pair per direction."""
+
+
+def train(
+    theta: Floats,
+    demonstrations: Demonstrations,
+    *,
+    search: config.Search,
+    judge: Judge,
+    evaluate: Evaluate,
+    seed: int,
+    first_iteration: int = 1,
+) -> Iterator[RailState]:
+    """Run RAIL, yielding a `RailState` after every iteration, without end.
+
+    It differs from the printed algorithm in line 14, which moves the whitening with the states met so far. Theta was
+    cloned under the whitening of the demonstrations, and under another its weights would mean another policy; so the
+    whitening is part of the policy and stays frozen.
+
+    Args:
+        theta: the cloned policy, shape (size,).
+        demonstrations: the expert's.
+        search: N, b, alpha and nu.
+        judge: learns as training goes on.
+        evaluate: drives the perturbed policies, both of a direction on the same traffic.
+        seed: of directions and minibatches. Every iteration draws from a child of its own, so that going on after
+            iteration k takes theta, the judge as it then was, and `first_iteration` = k + 1; the result is the same.
+        first_iteration: the number of the first iteration yielded.
+    """
+    ars = RandomSearch(theta, **search.model_dump())
+    for iteration in itertools.count(first_iteration):
+        rng = np.random.default_rng(np.random.SeedSequence(seed, spawn_key=(*b"rail", iteration)))
+        deltas = ars.ask(rng)  # line 2
+        plus, minus = evaluate(ars.theta, ars.noise_std * deltas, iteration)  # lines 3-6: same traffic for both
+        judge_loss = judge.fit(expert=demonstrations, learner=plus + minus, rng=rng)  # lines 7-9, least squares
+        step_norm = ars.tell(deltas, judge.returns(plus), judge.returns(minus))  # lines 10-13, one frozen judge
+        yield RailState(iteration, ars.theta.copy(), step_norm, judge_loss, plus, minus)

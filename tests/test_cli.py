@@ -1,0 +1,160 @@
+import subprocess
+import sys
+
+import numpy as np
+import pandas as pd
+import pytest
+
+from rail_sumo import cli, config, run
+from rail_sumo.highway.observation import feature_names
+
+
+@pytest.fixture
+def rail_sumo(monkeypatch, capsys, tmp_path):
+    """Run the command line in an empty folder; return its exit code, stdout and stderr."""
+    monkeypatch.chdir(tmp_path)
+
+    def call(*arguments):
+        monkeypatch.setattr(sys, "argv", ["rail-sumo", *arguments])
+        with pytest.raises(SystemExit) as end:
+            cli.main()
+        return end.value.code, *capsys.readouterr()
+
+    return call
+
+
+SHORT = ("--set", "episode.duration_s=5.0", "--workers", "1")
+
+ONE_LANE = """<net version="1.20">
+<location netOffset="0,0" convBoundary="0,0,9,0" origBoundary="0,0,9,0" projParameter="!"/>
+<edge id="e" from="a" to="b"><lane id="e_0" index="0" speed="13.9" length="9.0" shape="0,0 9,0"/></edge>
+<junction id="a" type="dead_end" x="0" y="0" incLanes="" intLanes="" shape="0,0"/>
+<junction id="b" type="dead_end" x="9" y="0" incLanes="e_0" intLanes="" shape="9,0"/>
+</net>"""
+
+
+def lay_out(folder):
+    """Everything a user can point at that is wrong."""
+    (folder / "exists").mkdir()
+    (folder / "file").touch()
+    (folder / "cut.net.xml").write_text('<net version="1.20"><edge ')
+    (folder / "narrow.net.xml").write_text(ONE_LANE)
+    (folder / "no.toml").write_text("[traffic\n")
+    decision = {"action": [0], "episode": [0]}
+    features = feature_names(config.Lidar(), config.Observation())
+    pd.DataFrame(decision).to_parquet(folder / "blind.parquet")
+    pd.DataFrame(dict.fromkeys(features, [np.nan]) | decision).to_parquet(folder / "nan.parquet")
+    (folder / "cut").mkdir()
+    (folder / "cut" / "config.toml").touch()
+    (folder / "cut" / "clone.safetensors").write_bytes(b"\x08")
+
+
+DRIVERS = "(available: expert, keep, random, rule, sumo)"
+
+BAD = {
+    "train none.toml": "cannot read configuration 'none.toml': No such file or directory",
+    "train no.toml": "configuration 'no.toml' is not valid TOML: ",
+    "train --set search.noise=1": "configuration: unknown key 'search.noise'; did you mean 'search.noise_std'? (",
+    "train --set traffic.vehicles=many": "configuration: traffic.vehicles: Input should be a valid integer, got 'many'",
+    "train --set traffic.vehicles=-1": "configuration: traffic.vehicles: Input should be greater than or equal to 0, g",
+    "train --set nonsense": "--set takes section.key=value, for example traffic.vehicles=30; got 'nonsense'",
+    "train --out exists": "output folder 'exists' exists; go on with it by --resume, or choose another with --out",
+    "train --out none --resume": "run directory 'none' not found",
+    "train --out exists --resume": "'exists' is not a run directory: it has no config.toml",
+    "train --set train.demonstrations=none.parquet": "demonstrations 'none.parquet' not found; give a Parquet file, or ",
+    "train --set train.demonstrations=file": "demonstrations 'file' are not a Parquet file, or a damaged one (",
+    "train --set train.demonstrations=blind.parquet": "demonstrations 'blind.parquet' have 0 features (no 'distance_0_m')",
+    "train --set train.demonstrations=nan.parquet": "demonstrations 'nan.parquet': column 'distance_0_m' must be finite",
+    "train --workers many": "--workers takes a number of processes from 1 up, or ray; got 'many'",
+    "eval keep --workers 0": "--workers takes a number of processes from 1 up, or ray; got '0'",
+    "eval keep --episodes 0": "episodes must be at least 1; got 0",
+    "eval exprt": f"policy 'exprt' is neither a run directory nor a driver; did you mean 'expert'? {DRIVERS}",
+    "eval exists": "'exists' is not a run directory: it has no config.toml",
+    "eval file": "run directory 'file' not found",
+    "eval cut": "'cut/clone.safetensors' is truncated or damaged (SafetensorError: ",
+    "eval keep --out exists": "output folder 'exists' exists; choose another, or replace its tables with --overwrite",
+    "eval keep --out file/out": "cannot write to 'file/out': '",
+    "eval keep --network highwy5": "network 'highwy5' not found; did you mean 'highway5'? (available: highway3, ",
+    "eval keep --network none.net.xml": "network file 'none.net.xml' does not exist (current folder: ",
+    "eval keep --network cut.net.xml": "network 'cut.net.xml' is not a complete XML file: ",
+    "eval keep --network narrow.net.xml": "network 'narrow.net.xml' has no drivable edge with two or more lanes; ",
+    "eval keep --routes none.rou.xml": "routes file 'none.rou.xml' does not exist (current folder: ",
+    "network check narrow.net.xml": "network 'narrow.net.xml' has no drivable edge with two or more lanes; ",
+    "expert record --out file": "output file 'file' exists; choose another, or replace it with --overwrite",
+    "expert record --driver rul --out new": "policy 'rul' is neither a run directory nor a driver; did you mean",
+    "expert record --episodes 0 --driver keep --out new": "episodes must be at least 1; got 0",
+}
+
+
+@pytest.mark.parametrize("arguments", BAD)
+def test_bad_input_is_one_clear_line_and_exit_2(arguments, rail_sumo, tmp_path):
+    lay_out(tmp_path)
+    before = sorted(tmp_path.rglob("*"))
+    code, out, err = rail_sumo(*arguments.split())
+    assert (code, out) == (2, "")
+    assert err.startswith(f"rail-sumo: {BAD[arguments]}")
+    assert err.count("\n") == 1
+    assert sorted(tmp_path.rglob("*")) == before
+
+
+@pytest.mark.parametrize("arguments", ["evl keep", "eval", "eval keep --episodes few", "eval keep --nonsense"])
+def test_misused_commands_exit_2(arguments, rail_sumo):
+    code, out, err = rail_sumo(*arguments.split())
+    assert (code, out) == (2, "")
+    assert "Traceback" not in err
+
+
+def test_our_own_mistakes_keep_their_traceback(rail_sumo, monkeypatch):
+    monkeypatch.setattr(run, "evaluate", lambda *arguments, **named: 1 / 0)
+    with pytest.raises(ZeroDivisionError):
+        rail_sumo("eval", "keep", *SHORT)
+
+
+def test_eval_prints_a_row_per_policy_and_writes_four_tables(rail_sumo, tmp_path):
+    code, out, err = rail_sumo("eval", "keep", "rule", "--episodes", "2", "--out", "out", *SHORT)
+    assert code == 0, err
+    assert [line.split()[0] for line in out.splitlines() if line.strip().startswith(("keep", "rule"))] == [
+        "keep",
+        "rule",
+    ]
+    assert max(map(len, out.splitlines())) <= 100
+    written = {"episodes.csv", "episodes.parquet", "summary.csv", "summary.parquet"}
+    assert {path.name for path in (tmp_path / "out").iterdir()} == written
+    episodes = pd.read_csv(tmp_path / "out" / "episodes.csv")
+    assert list(episodes["policy"]) == ["keep", "keep", "rule", "rule"]
+    assert set(episodes["duration_s"][:2]) == {5.0}
+
+
+def test_network_and_routes_go_into_the_world(rail_sumo, monkeypatch):
+    worlds = []
+    evaluate = run.evaluate
+    monkeypatch.setattr(
+        run, "evaluate", lambda who, world, **named: worlds.append(world) or evaluate(who, world, **named)
+    )
+    assert rail_sumo("eval", "keep", "--network", "highway3", "--episodes", "1", *SHORT)[0] == 0
+    assert worlds[0].network.file == "highway3"
+
+
+def test_interrupted_training_says_how_to_go_on(rail_sumo, monkeypatch, tmp_path):
+    def interrupted(chosen, out, **named):
+        out.mkdir(parents=True)
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr(run, "train", interrupted)
+    code, _, err = rail_sumo("train", "--seed", "3")
+    assert code == 130
+    hint = "rail-sumo: interrupted; go on with: rail-sumo train --out runs/default-seed3 --resume"
+    assert err.splitlines()[-1] == hint
+
+
+def test_networks_are_listed_with_their_length_and_lanes(rail_sumo):
+    code, out, _ = rail_sumo("network", "list")
+    assert code == 0
+    assert "highway5: road of 8,200 m with 5 lanes" in out
+    assert "ring5: loop of " in out
+
+
+def test_help_and_rollout_workers_import_nothing_slow():
+    slow = "{'torch', 'pandas', 'libsumo', 'scipy'} & set(sys.modules)"
+    code = f"import sys; from rail_sumo import cli; sys.exit(bool({slow}))"
+    assert subprocess.run([sys.executable, "-c", code], check=False).returncode == 0

@@ -1,0 +1,166 @@
+import json
+
+import numpy as np
+import pyarrow as pa
+import pyarrow.parquet as pq
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from hypothesis.extra import numpy as hnp
+from toy import episode
+
+from rail_sumo.errors import InputError
+from rail_sumo.imitation.demonstrations import METADATA_KEY, Demonstrations
+
+FEATURES = ["distance_0_m", "relative_speed_0_mps"]
+COLUMNS = {
+    "distance_0_m": pa.array([100.0, 7.5]),
+    "relative_speed_0_mps": pa.array([0.0, -3.25]),
+    "action": pa.array([0, 4]),
+    "episode": pa.array([0, 0]),
+}
+
+
+def three_episodes():
+    return Demonstrations.from_trajectories(
+        [
+            episode([[1.0, 10.0], [2.0, 20.0]], [0, 1]),
+            episode([[3.0, 30.0]], [2]),
+            episode([[4.0, 40.0], [5.0, 50.0], [6.0, 60.0]], [3, 4, 0]),
+        ]
+    )
+
+
+def same(one, other):
+    fields = ("observations", "actions", "episode")
+    return all(np.array_equal(getattr(one, field), getattr(other, field)) for field in fields)
+
+
+def test_episodes_are_laid_end_to_end_and_numbered():
+    demonstrations = three_episodes()
+    assert demonstrations.observations[:, 1].tolist() == [10.0, 20.0, 30.0, 40.0, 50.0, 60.0]
+    assert demonstrations.actions.tolist() == [0, 1, 2, 3, 4, 0]
+    assert demonstrations.episode.tolist() == [0, 0, 1, 2, 2, 2]
+    assert demonstrations.n_episodes == 3
+
+
+def test_take_gives_the_first_episodes_whole():
+    taken = three_episodes().take(2)
+    assert taken.observations[:, 0].tolist() == [1.0, 2.0, 3.0]
+    assert taken.actions.tolist() == [0, 1, 2]
+    assert same(three_episodes().take(3), three_episodes())
+
+
+@pytest.mark.parametrize("n_episodes", [0, 4])
+def test_take_refuses_more_than_there_are(n_episodes):
+    message = rf"{n_episodes} demonstrated trajectories wanted, and there are 3; set train.trajectories to 1\.\.3"
+    with pytest.raises(InputError, match=message):
+        three_episodes().take(n_episodes)
+
+
+@settings(max_examples=30)
+@given(
+    hnp.arrays(np.float64, st.tuples(st.integers(1, 20), st.just(2)), elements=st.floats(-1e6, 1e6)),
+    st.data(),
+)
+def test_saved_is_loaded_bit_for_bit(tmp_path_factory, observations, data):
+    n = len(observations)
+    actions = data.draw(hnp.arrays(np.int64, n, elements=st.integers(0, 4)))
+    numbers = data.draw(hnp.arrays(np.int64, n, elements=st.integers(0, 99)))
+    path = tmp_path_factory.mktemp("demonstrations") / "any.parquet"
+    demonstrations = Demonstrations(observations, actions, numbers)
+    demonstrations.save(path, features=FEATURES, about={})
+    assert same(Demonstrations.load(path, features=FEATURES), demonstrations)
+
+
+def test_the_file_names_its_columns_and_tells_where_it_is_from(tmp_path):
+    path = tmp_path / "expert.parquet"
+    path.write_bytes(b"an older file, to be replaced")
+    three_episodes().save(path, features=FEATURES, about={"driver": "rule", "seed": 7})
+    table = pq.read_table(path)
+    assert {field.name: str(field.type) for field in table.schema} == {
+        "distance_0_m": "float",
+        "relative_speed_0_mps": "float",
+        "action": "int8",
+        "episode": "int32",
+    }
+    assert json.loads(table.schema.metadata[METADATA_KEY]) == {
+        "features": FEATURES,
+        "about": {"driver": "rule", "seed": 7},
+    }
+    assert pq.ParquetFile(path).metadata.row_group(0).column(0).compression == "ZSTD"
+    assert [file.name for file in tmp_path.iterdir()] == ["expert.parquet"]
+
+
+def test_columns_are_found_by_name_not_by_place(tmp_path):
+    path = tmp_path / "theirs.parquet"
+    pq.write_table(pa.table(dict(reversed(COLUMNS.items()))), path)
+    loaded = Demonstrations.load(path, features=FEATURES)
+    assert loaded.observations.tolist() == [[100.0, 0.0], [7.5, -3.25]]
+    assert loaded.actions.tolist() == [0, 4]
+
+
+def without(name):
+    return {column: values for column, values in COLUMNS.items() if column != name}
+
+
+@pytest.mark.parametrize(
+    ("columns", "message"),
+    [
+        (without("action"), "have no column 'action'"),
+        (without("distance_0_m"), r"have 1 features \(no 'distance_0_m'\), the configuration wants 2"),
+        (
+            COLUMNS | {"host_speed_mps": pa.array([1.0, 1.0])},
+            r"have 3 features \(also 'host_speed_mps'\), the configuration wants 2; set \[lidar\] and \[observation\]",
+        ),
+        (COLUMNS | {"distance_0_m": pa.array([1.0, np.nan])}, "'distance_0_m' must be finite, row 1 is nan"),
+        (COLUMNS | {"distance_0_m": pa.array([np.inf, 1.0])}, "'distance_0_m' must be finite, row 0 is inf"),
+        (COLUMNS | {"distance_0_m": pa.array([1.0, None])}, "'distance_0_m' must be finite, row 1 is nan"),
+        (COLUMNS | {"distance_0_m": pa.array([1.0, 1e39])}, r"'distance_0_m' must be finite, row 1 is 1e\+39"),
+        (COLUMNS | {"distance_0_m": pa.array(["far", "near"])}, "'distance_0_m' must hold floating-point numbers"),
+        (COLUMNS | {"action": pa.array([0, 5])}, r"have an action 5; actions are 0\.\.4"),
+        (COLUMNS | {"action": pa.array([-1, 0])}, r"have an action -1; actions are 0\.\.4"),
+        (COLUMNS | {"action": pa.array([0.5, 0.0])}, "'action' must hold an integer in every row, not double"),
+        (COLUMNS | {"episode": pa.array([0, None])}, "'episode' must hold an integer in every row, .* 1 missing"),
+        ({name: values[:0] for name, values in COLUMNS.items()}, "hold no decision"),
+    ],
+)
+def test_a_file_with_something_wrong_is_refused_in_one_line(tmp_path, columns, message):
+    path = tmp_path / "wrong.parquet"
+    pq.write_table(pa.table(columns), path)
+    with pytest.raises(InputError, match=message) as raised:
+        Demonstrations.load(path, features=FEATURES)
+    assert str(raised.value).startswith(f"demonstrations '{path}'")
+    assert "\n" not in str(raised.value)
+    assert "rail-sumo expert record" in str(raised.value)
+
+
+def test_a_missing_file_is_refused(tmp_path):
+    with pytest.raises(InputError, match=r"nowhere\.parquet' not found"):
+        Demonstrations.load(tmp_path / "nowhere.parquet", features=FEATURES)
+
+
+@pytest.mark.parametrize("kept", [0.0, 0.5, 0.99])
+def test_a_truncated_file_is_refused_wherever_it_ends(tmp_path, kept):
+    path = tmp_path / "cut.parquet"
+    three_episodes().save(path, features=FEATURES, about={})
+    content = path.read_bytes()
+    path.write_bytes(content[: int(kept * len(content))])
+    with pytest.raises(InputError, match="not a Parquet file, or a damaged one") as raised:
+        Demonstrations.load(path, features=FEATURES)
+    assert "\n" not in str(raised.value)
+
+
+def test_where_nothing_can_be_written_the_user_is_told(tmp_path):
+    with pytest.raises(InputError, match="cannot write demonstrations"):
+        three_episodes().save(tmp_path / "no such folder" / "expert.parquet", features=FEATURES, about={})
+
+
+def test_a_name_for_every_feature():
+    with pytest.raises(ValueError, match="shorter"):
+        three_episodes().save("never.parquet", features=FEATURES[:1], about={})
+
+
+def test_arrays_must_belong_together():
+    with pytest.raises(ValueError, match=r"got \(3, 2\), \(2,\) and \(3,\)"):
+        Demonstrations(np.zeros((3, 2)), np.zeros(2, dtype=np.int64), np.zeros(3, dtype=np.int64))

@@ -1,0 +1,401 @@
+import gzip
+import itertools
+import math
+import re
+import sys
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from rail_sumo import assets
+from rail_sumo.errors import InputError
+from rail_sumo.highway import road
+
+RING_RADIUS_M, RING_HALF_WIDTH_M = 500.0, 8.0
+
+
+def edge(name, *, y=0.0, x=(0.0, 100.0), lanes=2, closed=(), width=3.2):
+    """An edge that runs east; lane 0 lies on y, the next ones to its left."""
+    access = ("pedestrian", "all")
+    rows = "".join(
+        f'<lane id="{name}_{k}" index="{k}" disallow="{access[k in closed]}" speed="30" '
+        f'length="{x[1] - x[0]:.2f}" width="{width}" shape="{x[0]},{y + k * width} {x[1]},{y + k * width}"/>'
+        for k in range(lanes)
+    )
+    return f'<edge id="{name}" from="{name}-" to="{name}+">{rows}</edge>'
+
+
+def leads_on(here, ahead, lanes, *, direction="s", to=None):
+    """Connections from some lanes of one edge to the same lanes, or those in `to`, of another; no internal lanes."""
+    return "".join(
+        f'<connection from="{here}" to="{ahead}" fromLane="{k}" toLane="{j}" dir="{direction}" state="M"/>'
+        for k, j in zip(lanes, lanes if to is None else to, strict=True)
+    )
+
+
+@pytest.fixture
+def network(tmp_path):
+    """Write a network of the given elements and return its path as a user would give it."""
+    numbers = itertools.count()
+
+    def write(*elements):
+        path = tmp_path / f"own{next(numbers)}.net.xml"
+        names = dict.fromkeys(re.findall(r'<edge id="([^"]+)"', "".join(elements)))
+        nodes = "".join(
+            f'<junction id="{name}{end}" type="priority" x="0" y="0" incLanes="" intLanes="" shape="0,0"/>'
+            for name in names
+            for end in "-+"
+        )
+        location = '<location netOffset="0,0" convBoundary="0,0,1,1" origBoundary="0,0,1,1" projParameter="!"/>'
+        edges = [element for element in elements if element.startswith("<edge")]
+        rest = [element for element in elements if not element.startswith("<edge")]
+        path.write_text(f'<net version="1.20">{location}{"".join(edges)}{nodes}{"".join(rest)}</net>')
+        return str(path)
+
+    return write
+
+
+def course(file):
+    return [edge.id for edge in road.load(file).edges]
+
+
+@pytest.mark.parametrize(("name", "lanes", "half_width_m"), [("highway5", 5, 8.0), ("highway3", 3, 4.8)])
+def test_the_highway_is_one_straight_edge_between_two_guard_rails(name, lanes, half_width_m):
+    highway = road.load(name)
+    (only,) = highway.edges
+    assert (only.id, only.length_m, only.n_lanes, only.first_lane, only.ending_lanes) == ("highway", 8200, lanes, 0, ())
+    assert only.speed_limit_mps * 3.6 == pytest.approx(130.0, abs=0.01)
+    assert not highway.is_loop
+    assert highway.boundaries == pytest.approx(
+        np.array([[0, -half_width_m, 8200, -half_width_m], [0, half_width_m, 8200, half_width_m]])
+    )
+
+
+def test_the_ring_is_as_long_as_its_circle():
+    ring = road.load("ring5")
+    # 192 chords of angle h are shorter than the arc by h^2/24, here 0.14 m; SUMO rounds each length to 0.01 m.
+    chords = 2 * RING_RADIUS_M * 192 * math.sin(math.pi / 192)
+    assert ring.length_m == pytest.approx(chords, abs=0.1)
+    assert ring.length_m == pytest.approx(2 * math.pi * RING_RADIUS_M, rel=1e-4)
+
+
+def test_the_ring_runs_through_its_eight_edges_in_driving_order_and_closes():
+    ring = road.load("ring5")
+    assert [edge.id for edge in ring.edges] == [f"ring{k}" for k in range(8)]
+    assert {edge.n_lanes for edge in ring.edges} == {5}
+    assert {edge.ending_lanes for edge in ring.edges} == {()}
+    assert ring.is_loop
+
+
+def test_the_rings_guard_rails_are_two_closed_circles_eight_metres_beside_the_middle():
+    ring = road.load("ring5")
+    start, end = ring.boundaries[:, :2], ring.boundaries[:, 2:]
+    radius = np.hypot(*start.T)
+    outer, inner = radius > RING_RADIUS_M, radius < RING_RADIUS_M
+    assert radius[outer] == pytest.approx(RING_RADIUS_M + RING_HALF_WIDTH_M, abs=0.1)
+    assert radius[inner] == pytest.approx(RING_RADIUS_M - RING_HALF_WIDTH_M, abs=0.1)
+    for side in (outer, inner):
+        assert np.array_equal(end[side], np.roll(start[side], -1, axis=0))
+        angles = np.unwrap(np.arctan2(*start[side][:, ::-1].T))
+        assert (np.diff(angles) > 0).all()
+        assert np.hypot(*(end[side] - start[side]).T).max() < 20.0
+
+
+@given(st.floats(-1e5, 1e5))
+def test_a_place_on_the_ring_is_the_same_after_a_lap_and_adds_up_to_where_it_came_from(s_m):
+    ring = road.load("ring5")
+    index, along_m = ring.place(s_m)
+    before = math.fsum(edge.length_m for edge in ring.edges[:index]) + math.fsum(ring.junctions_m[:index])
+    missed = (before + along_m - s_m) % ring.length_m
+    # A place inside a junction snaps forward to the edge after it, by no more than the junction's length.
+    assert min(missed, ring.length_m - missed) < max(ring.junctions_m) + 1e-6
+    assert 0.0 <= along_m <= ring.edges[index].length_m
+
+
+def test_places_on_the_ring_by_hand():
+    ring = road.load("ring5")
+    first, junction = ring.edges[0].length_m, ring.junctions_m[0]
+    assert ring.place(0.0) == (0, 0.0)
+    assert ring.place(first) == (0, first)
+    assert ring.place(first + junction / 2) == (1, 0.0)
+    assert ring.place(first + junction + 10.0) == (1, pytest.approx(10.0))
+    assert ring.place(-ring.junctions_m[-1] - 5.0) == (7, pytest.approx(ring.edges[7].length_m - 5.0))
+    assert ring.place(-ring.junctions_m[-1] / 2) == (0, 0.0)
+    assert ring.place(3 * ring.length_m + 10.0) == (0, pytest.approx(10.0))
+
+
+def test_beyond_the_ends_of_a_straight_road_there_is_no_place():
+    highway = road.load("highway5")
+    assert highway.place(0.0) == (0, 0.0)
+    assert highway.place(8200.0) == (0, 8200.0)
+    assert highway.place(-0.001) is None
+    assert highway.place(8200.001) is None
+
+
+@given(first=st.integers(0, 7), distance_m=st.floats(1.0, 20_000.0))
+def test_laps_cover_the_distance_and_no_edge_too_many(first, distance_m):
+    ring = road.load("ring5")
+    ids = ring.laps(first, distance_m)
+    assert ids == tuple(f"ring{(first + k) % 8}" for k in range(len(ids)))
+    lengths = [edge.length_m for edge in ring.edges]
+    covered = sum(lengths[(first + k) % 8] for k in range(len(ids)))
+    assert covered - lengths[(first + len(ids) - 1) % 8] < distance_m <= covered
+
+
+def test_laps_of_a_chain_stop_at_its_end(network):
+    file = network(edge("a"), edge("b", x=(100.0, 200.0)), leads_on("a", "b", [0, 1]))
+    chain = road.load(file)
+    assert chain.laps(0, 50.0) == ("a",)
+    assert chain.laps(0, 150.0) == ("a", "b")
+    assert chain.laps(1, 1e6) == ("b",)
+
+
+def test_a_chain_joins_its_edges_borders_without_a_gap(network):
+    file = network(edge("a"), edge("b", x=(101.0, 200.0)), leads_on("a", "b", [0, 1]))
+    # Two lanes of 3.2 m on y = 0 and y = 3.2: borders at -1.6 and 4.8, also where nothing says how they join.
+    assert road.load(file).boundaries == pytest.approx(
+        np.array(
+            [
+                [0, -1.6, 100, -1.6],
+                [100, -1.6, 101, -1.6],
+                [101, -1.6, 200, -1.6],
+                [0, 4.8, 100, 4.8],
+                [100, 4.8, 101, 4.8],
+                [101, 4.8, 200, 4.8],
+            ]
+        )
+    )
+
+
+def test_the_way_through_a_junction_counts_and_has_borders(network):
+    # Through the junction the road swerves to the left: along (3, 4) and back along (3, -4), 10 m of road over 6 m.
+    inside = "".join(
+        f'<lane id=":j_0_{k}" index="{k}" speed="30" length="10.00" shape="100,{y} 103,{y + 4} 106,{y}"/>'
+        for k, y in enumerate((0.0, 3.2))
+    )
+    through = "".join(
+        f'<connection from="a" to="b" fromLane="{k}" toLane="{k}" via=":j_0_{k}" dir="s" state="M"/>'
+        f'<connection from=":j_0" to="b" fromLane="{k}" toLane="{k}" dir="s" state="M"/>'
+        for k in (0, 1)
+    )
+    junction = '<junction id=":j" type="priority" x="0" y="0" incLanes="" intLanes="" shape="0,0"/>'
+    way = f'<edge id=":j_0" function="internal">{inside}</edge>'
+    swerving = road.load(network(edge("a"), edge("b", x=(106.0, 200.0)), way, junction, through))
+    assert swerving.junctions_m == (10.0, 0.0)
+    assert swerving.length_m == 100.0 + 10.0 + 94.0
+    assert swerving.place(105.0) == (1, 0.0)
+    # The right border's peak: the mitre at (103, 4) with the sides' normals (-0.8, 0.6) and (0.8, 0.6) is (0, 1 / 0.6).
+    assert np.array([103.0, 4.0 - 1.6 / 0.6]) == pytest.approx(swerving.boundaries[2, 2:])
+    assert np.array([103.0, 7.2 + 1.6 / 0.6]) == pytest.approx(swerving.boundaries[-3, :2])
+
+
+def test_straight_on_is_preferred_to_more_lanes_round_the_corner(network):
+    file = network(
+        edge("main", lanes=3),
+        edge("exit", y=-20.0, lanes=2, x=(0.0, 900.0)),
+        edge("on", lanes=2, x=(100.0, 200.0)),
+        leads_on("main", "exit", [0, 1], direction="r"),
+        leads_on("main", "on", [2], to=[1]),
+    )
+    assert course(file) == ["exit"]  # 900 m alone beats main and on, 200 m
+    file = network(
+        edge("main", lanes=3, x=(0.0, 1000.0)),
+        edge("exit", y=-20.0, lanes=2, x=(0.0, 900.0)),
+        edge("on", lanes=2, x=(1000.0, 1100.0)),
+        leads_on("main", "exit", [0, 1], direction="r"),
+        leads_on("main", "on", [2], to=[1]),
+    )
+    assert course(file) == ["main", "on"]
+
+
+def test_among_ways_straight_on_the_one_with_most_lanes_is_the_course(network):
+    file = network(
+        edge("a", lanes=5),
+        edge("b", lanes=2, x=(100.0, 200.0)),
+        edge("c", lanes=3, x=(100.0, 200.0)),
+        leads_on("a", "b", [0, 1]),
+        leads_on("a", "c", [2, 3, 4], to=[0, 1, 2]),
+    )
+    chosen = road.load(file)
+    assert [edge.id for edge in chosen.edges] == ["a", "c"]
+    assert chosen.edges[0].ending_lanes == (0, 1)
+
+
+def test_equal_chains_are_told_apart_by_id(network):
+    assert course(network(edge("z"), edge("k"), edge("q"))) == ["k"]
+
+
+def test_a_loop_starts_at_its_first_id_though_rounded_sums_differ_with_the_start(network):
+    # In floating point 0.2 + 0.3 + 0.1, from b on, is less than 0.1 + 0.2 + 0.3 and 0.3 + 0.1 + 0.2.
+    edges = [edge("d", x=(0.0, 0.1)), edge("b", x=(0.0, 0.2)), edge("c", x=(0.0, 0.3))]
+    ways = ("db", "bc", "cd")
+    assert course(network(*edges, *(leads_on(*way, [0, 1]) for way in ways))) == ["b", "c", "d"]
+
+
+def test_a_loop_wins_over_a_longer_chain_that_runs_into_it(network):
+    loop = leads_on("b", "c", [0, 1]) + leads_on("c", "b", [0, 1])
+    file = network(edge("a"), edge("b"), edge("c"), leads_on("a", "b", [0, 1]), loop)
+    chosen = road.load(file)
+    assert [edge.id for edge in chosen.edges] == ["b", "c"]
+    assert chosen.is_loop
+
+
+def test_a_roundabout_at_the_end_does_not_take_the_highways_place(network):
+    roundabout = leads_on("b", "c", [0, 1]) + leads_on("c", "b", [0, 1])
+    short = {"x": (0.0, 20.0)}
+    file = network(edge("a"), edge("b", **short), edge("c", **short), leads_on("a", "b", [0, 1]), roundabout)
+    assert course(file) == ["a", "b", "c"]
+
+
+def test_turning_back_is_no_way_to_lengthen_the_course(network):
+    file = network(edge("there"), edge("back"), leads_on("there", "back", [0, 1], direction="t"))
+    assert course(file) == ["back"]
+
+
+def test_lanes_closed_to_cars_belong_to_the_verge(network):
+    beside_a_pavement = road.load(network(edge("a", lanes=4, closed=(0,)))).edges[0]
+    assert (beside_a_pavement.first_lane, beside_a_pavement.n_lanes) == (1, 3)
+    split = road.load(network(edge("a", lanes=6, closed=(1,)))).edges[0]
+    assert (split.first_lane, split.n_lanes) == (2, 4)
+
+
+def test_one_open_lane_beside_a_bus_lane_is_no_place_to_change_lanes(network):
+    with pytest.raises(
+        InputError,
+        match=r"^network 'own0\.net\.xml' has no drivable edge with two or more lanes; "
+        r"rail-sumo needs a place to change lanes$",
+    ):
+        road.load(network(edge("a", lanes=2, closed=(1,))))
+
+
+def test_a_very_long_chain_is_chosen_without_recursion(network):
+    n = 2 * sys.getrecursionlimit()
+    edges = [edge(f"e{k:05d}") for k in range(n)]
+    joints = [leads_on(f"e{k:05d}", f"e{k + 1:05d}", [0, 1]) for k in range(n - 1)]
+    assert len(course(network(*edges, *joints))) == n
+
+
+@pytest.mark.parametrize(
+    ("content", "message"),
+    [
+        ("", r"^network 'bad\.net\.xml' is not a complete XML file: no element found in line 1$"),
+        ("once upon a time", "is not a complete XML file: syntax error in line 1$"),
+        ('<net version="1.20"><edge id="a">', "is not a complete XML file: no element found"),
+        ("<routes/>", r"has no edges; rail-sumo reads SUMO's \.net\.xml$"),
+        ('<net version="1.20"/>', "has no edges"),
+        ("<net/>", r"is not a SUMO network: .*version"),
+        ('<net version="1.20"><edge id="a" from="x" to="y"><lane/></edge></net>', "is not a SUMO network: KeyError"),
+    ],
+)
+def test_what_is_not_a_network_is_refused_in_one_line(tmp_path, content, message):
+    bad = tmp_path / "bad.net.xml"
+    bad.write_text(content)
+    with pytest.raises(InputError, match=message) as error:
+        road.load(str(bad))
+    assert "\n" not in str(error.value)
+
+
+@pytest.mark.parametrize("share", [0.01, 0.3, 0.999])
+def test_a_truncated_network_is_refused_plain_and_compressed(tmp_path, share):
+    whole = assets.network("ring5").read_bytes()
+    plain, packed = tmp_path / "cut.net.xml", tmp_path / "cut.net.xml.gz"
+    plain.write_bytes(whole[: int(share * len(whole))])
+    compressed = gzip.compress(whole)
+    packed.write_bytes(compressed[: int(share * len(compressed))])
+    for path in (plain, packed):
+        with pytest.raises(InputError, match="is not a complete XML file"):
+            road.load(str(path))
+
+
+def test_a_compressed_network_is_the_network(tmp_path):
+    packed = tmp_path / "ring5.net.xml.gz"
+    packed.write_bytes(gzip.compress(assets.network("ring5").read_bytes()))
+    ring = road.load(str(packed))
+    assert ring.name == "ring5"
+    assert np.array_equal(ring.boundaries, road.load("ring5").boundaries)
+
+
+def test_rubbish_in_a_compressed_file_is_refused(tmp_path):
+    packed = tmp_path / "x.net.xml.gz"
+    packed.write_bytes(b"no gzip")
+    with pytest.raises(InputError, match="is not a complete XML file: Not a gzipped file"):
+        road.load(str(packed))
+    whole = bytearray(gzip.compress(assets.network("ring5").read_bytes()))
+    whole[200:260] = bytes(60)
+    packed.write_bytes(whole)
+    with pytest.raises(InputError, match="is not a complete XML file"):
+        road.load(str(packed))
+
+
+def test_a_road_is_read_once_and_cannot_be_changed():
+    highway = road.load("highway5")
+    assert road.load("highway5") is highway
+    with pytest.raises(ValueError, match="read-only"):
+        highway.boundaries[0, 0] = 1.0
+
+
+def test_the_shipped_networks_pass_their_check_without_a_warning():
+    assert [road.check(name).warnings for name in assets.network_names()] == [(), (), ()]
+
+
+def test_check_warns_of_a_short_course_of_ending_lanes_and_of_narrow_ones(network):
+    file = network(
+        edge("a", lanes=3), edge("b", lanes=2, width=2.3, x=(100.0, 200.0)), leads_on("a", "b", [1, 2], to=[0, 1])
+    )
+    short, ending, narrow = road.check(file).warnings
+    assert "the course is 200 m long, episodes of 7222 m will end at the end of the road" in short
+    assert "lane 0 of edge 'a' does not lead on along the course" in ending
+    assert "edge 'b' has a lane of 2.30 m" in narrow
+    assert road.check(file, course_m=200.0).warnings == (ending, narrow)
+
+
+@given(
+    st.lists(st.tuples(st.floats(1.0, 50.0), st.floats(-1.5, 1.5)), min_size=1, max_size=8),
+    st.floats(-5.0, 5.0),
+)
+def test_moving_a_line_sideways_mirrors_with_it_and_keeps_its_distance(legs, leftwards_m):
+    lengths, turns = np.array(legs).T
+    headings = np.cumsum(turns)
+    steps = lengths[:, None] * np.column_stack([np.cos(headings), np.sin(headings)])
+    line = np.vstack([[0.0, 0.0], np.cumsum(steps, axis=0)])
+    moved = road.offset(line, leftwards_m)
+    mirror = np.array([1.0, -1.0])
+    assert road.offset(line * mirror, -leftwards_m) == pytest.approx(moved * mirror)
+    # Each moved corner lies at the offset from both of the lines that meet there.
+    left = np.column_stack([-np.sin(headings), np.cos(headings)])
+    for points in (moved[:-1] - line[:-1], moved[1:] - line[1:]):
+        assert (points * left).sum(axis=1) == pytest.approx(leftwards_m)
+
+
+def test_a_line_that_stands_still_has_no_side():
+    assert road.offset(np.array([[3.0, 4.0], [3.0, 4.0]]), 1.6).tolist() == [[3.0, 4.0]]
+
+
+def demand(tmp_path, content, name="own.rou.xml"):
+    path = tmp_path / name
+    path.write_text(content)
+    return str(path)
+
+
+@pytest.mark.parametrize("element", ["vehicle", "flow", "trip"])
+def test_demand_with_traffic_passes_though_it_lies_in_another_file_than_the_types(tmp_path, element):
+    types = demand(tmp_path, '<routes><vType id="car"/></routes>', "types.rou.xml")
+    traffic = demand(tmp_path, f'<routes><{element} id="0"/></routes>')
+    assert [str(path) for path in road.check_demand([types, traffic])] == [types, traffic]
+    with pytest.raises(InputError, match="has no <vehicle>, <flow> or <trip>"):
+        road.check_demand([types])
+
+
+def test_shipped_demand_passes_and_no_demand_is_no_mistake():
+    names = assets.network_names()
+    assert [path.name for path in road.check_demand(names)] == [f"{name}.rou.xml" for name in names]
+    assert road.check_demand([]) == ()
+
+
+def test_broken_or_missing_demand_is_refused(tmp_path):
+    with pytest.raises(InputError, match=r"^routes 'higway5' not found; did you mean 'highway5'\?"):
+        road.check_demand(["higway5"])
+    with pytest.raises(InputError, match="is not a complete XML file: no element found"):
+        road.check_demand([demand(tmp_path, '<routes><vehicle id="0"/>')])

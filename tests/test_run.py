@@ -1,0 +1,266 @@
+"""Training runs on rollouts made up from the task, so that hundreds of them take no time; SUMO drives in a few."""
+
+import math
+import multiprocessing
+import os
+import signal
+from pathlib import Path
+
+import numpy as np
+import pandas as pd
+import pytest
+from safetensors import safe_open
+from safetensors.numpy import load_file, save_file
+
+from rail_sumo import config, rollout, run
+from rail_sumo.errors import InputError
+from rail_sumo.imitation.demonstrations import Demonstrations
+from rail_sumo.records import Trajectory
+from rail_sumo.run_directory import CHECKPOINT, CLONE, JUDGE, POLICY, PROGRESS, PROGRESS_COLUMNS, RunDirectory
+
+N_FEATURES = 8
+
+
+def drive(task):
+    """Stands in for SUMO: what is seen follows from the traffic seed, what is decided from the driver."""
+    observations = np.random.default_rng(task.seed).normal(size=(20, N_FEATURES))
+    if isinstance(task.driver, str):
+        actions = np.where(observations[:, 0] > 0, 1, 2)
+    else:
+        actions = np.array([task.driver.policy()(observation) for observation in observations])
+    return Trajectory(
+        observations=observations,
+        actions=actions,
+        speed_mps=np.full(201, 15.0 + (actions == 1).sum()),
+        lane_changing=np.zeros(200, dtype=np.bool_),
+        overtakes=int((actions == 1).sum()),
+        overtaken=0,
+        lane_changes=int((actions == 3).sum()),
+        aborted_lane_changes=0,
+        refused_decisions=0,
+        collisions=0,
+        struck=0,
+        min_ttc_s=math.inf,
+        end_reason="duration",
+        seed=task.seed,
+        network="highway5",
+    )
+
+
+@pytest.fixture
+def driven(monkeypatch):
+    """Every task driven; made up, on a clock that stands still."""
+    tasks = []
+
+    def drive_and_note(task):
+        tasks.append(task)
+        return drive(task)
+
+    monkeypatch.setattr(rollout, "drive", drive_and_note)
+    monkeypatch.setattr(run.time, "perf_counter", lambda: 0.0)
+    return tasks
+
+
+@pytest.fixture
+def small(tmp_path):
+    """A configuration that trains in a moment, from demonstrations in a file."""
+    expert = [drive(rollout.Task("expert", config.Config(), seed)) for seed in range(3)]
+    world = config.load(None, SMALL)
+    features = run.feature_names(world.lidar, world.observation)
+    Demonstrations.from_trajectories(expert).save(tmp_path / "demonstrations.parquet", features=features, about={})
+    return config.load(None, [*SMALL, f"train.demonstrations={tmp_path / 'demonstrations.parquet'}"])
+
+
+SMALL = (
+    f"lidar.n_rays={N_FEATURES // 2}",
+    "policy.hidden=3",
+    "cloning.epochs=2",
+    "search.n_directions=2",
+    "search.n_top=1",
+    "judge.hidden=[4]",
+    "judge.minibatches=2",
+    "judge.batch_size=8",
+    "train.trajectories=3",
+    "train.iterations=3",
+    "train.horizon_s=20.0",
+    "train.evaluation_episodes=2",
+)
+
+
+def contents(folder):
+    return {path.name: path.read_bytes() for path in folder.iterdir()}
+
+
+def interrupted_after(n_writes, replace=Path.replace):
+    """A `Path.replace` that lets some files through and then stops everything."""
+    left = iter(range(n_writes))
+
+    def replace_or_stop(self, target):
+        if next(left, None) is None:
+            raise KeyboardInterrupt
+        return replace(self, target)
+
+    return replace_or_stop
+
+
+def test_interrupted_at_any_write_training_resumes_to_the_same_bytes(small, driven, tmp_path, monkeypatch):
+    run.train(small, tmp_path / "whole", seed=1)
+    # Configuration and clone; four files for the clone and for each of three iterations; four tables.
+    for n_writes in range(2 + 4 * 4 + 4):
+        out = tmp_path / f"interrupted-{n_writes}"
+        with monkeypatch.context() as patched:
+            patched.setattr(Path, "replace", interrupted_after(n_writes))
+            with pytest.raises(KeyboardInterrupt):
+                run.train(small, out, seed=1)
+        assert out.exists() == (n_writes >= 6)  # not before it is whole
+        run.train(small, out, seed=1, resume=out.exists())
+        assert contents(out) == contents(tmp_path / "whole")
+
+
+class KillsItself:
+    """An observer that ends its process as `kill -9` does, after two iterations."""
+
+    def start(self, work, total, done=0):
+        self.left = 2
+
+    def advance(self, figures):
+        self.left -= 1
+        if not self.left:
+            os.kill(os.getpid(), signal.SIGKILL)
+
+
+def train_and_die(small, out):
+    rollout.drive = drive
+    run.train(small, out, seed=1, observer=KillsItself())
+
+
+def test_killed_training_resumes_to_the_same_policy(small, driven, tmp_path):
+    process = multiprocessing.get_context("spawn").Process(target=train_and_die, args=(small, tmp_path / "killed"))
+    process.start()
+    process.join()
+    assert process.exitcode == -signal.SIGKILL
+    assert RunDirectory(tmp_path / "killed").checkpoint().iteration == 2
+    run.train(small, tmp_path / "killed", seed=1, resume=True)
+    run.train(small, tmp_path / "whole", seed=1)
+    for file in (POLICY, JUDGE, "episodes.csv"):
+        assert (tmp_path / "killed" / file).read_bytes() == (tmp_path / "whole" / file).read_bytes()
+
+
+def test_a_policy_of_no_iterations_is_the_clone(small, driven, tmp_path):
+    still = small.model_copy(update={"train": small.train.model_copy(update={"iterations": 0})})
+    run.train(still, tmp_path / "run", seed=1)
+    policy, clone = (load_file(tmp_path / "run" / file) for file in (POLICY, CLONE))
+    np.testing.assert_equal(policy, clone)
+
+
+def test_training_moves_the_policy_and_tells_of_every_iteration(small, driven, tmp_path):
+    episodes, summary = run.train(small, tmp_path / "run", seed=1)
+    policy, clone = (load_file(tmp_path / "run" / file)["theta"] for file in (POLICY, CLONE))
+    assert not np.array_equal(policy, clone)
+    progress = pd.read_csv(tmp_path / "run" / PROGRESS)
+    assert tuple(progress.columns) == PROGRESS_COLUMNS
+    assert list(progress["iteration"]) == [1, 2, 3]
+    assert list(progress["environment_steps"]) == [800, 1600, 2400]  # 2 directions, 2 signs, 200 steps
+    assert list(episodes["policy"].unique()) == ["rail", "clone", "expert"]
+    pd.testing.assert_frame_equal(episodes, pd.read_parquet(tmp_path / "run" / "episodes.parquet"))
+    pd.testing.assert_frame_equal(summary, pd.read_parquet(tmp_path / "run" / "summary.parquet"))
+
+
+def test_both_signs_meet_the_same_traffic_which_is_new_each_iteration_and_never_evaluated_on(small, driven, tmp_path):
+    episodes, _ = run.train(small, tmp_path / "run", seed=1)
+    training = np.array([task.seed for task in driven[:12]]).reshape(3, 2, 2)  # iteration, sign, direction
+    np.testing.assert_array_equal(training[:, 0], training[:, 1])
+    assert len(np.unique(training)) == 6
+    assert not set(training.ravel()) & set(episodes["seed"])
+    assert {task.config.episode.duration_s for task in driven[:12]} == {20.0}
+
+
+def test_every_policy_is_evaluated_on_the_same_traffic(driven):
+    episodes, _ = run.evaluate({"keep": "keep", "rule": "rule"}, config.Config(), episodes=3, seed=5)
+    keep, rule = (episodes[episodes["policy"] == name] for name in ("keep", "rule"))
+    assert list(keep["seed"]) == list(rule["seed"])
+    assert keep["seed"].nunique() == 3
+    more, _ = run.evaluate({"keep": "keep"}, config.Config(), episodes=4, seed=5)
+    assert list(more["seed"][:3]) == list(keep["seed"])
+
+
+def test_demonstrations_are_what_was_seen_and_decided(driven, tmp_path):
+    world = config.load(None, SMALL)
+    recorded = run.demonstrate("rule", world, tmp_path / "new" / "rule.parquet", episodes=2, seed=5)
+    features = run.feature_names(world.lidar, world.observation)
+    loaded = Demonstrations.load(tmp_path / "new" / "rule.parquet", features=features)
+    seen = np.concatenate([drive(task).observations for task in driven])
+    np.testing.assert_allclose(loaded.observations, seen, rtol=1e-6)
+    np.testing.assert_array_equal(loaded.actions, recorded.actions)
+    np.testing.assert_array_equal(loaded.episode, np.repeat([0, 1], 20))
+
+
+@pytest.fixture
+def trained(small, driven, tmp_path):
+    run.train(small, tmp_path / "run", seed=1)
+    return tmp_path / "run"
+
+
+def test_resuming_with_another_seed_is_refused(small, trained):
+    with pytest.raises(InputError, match=r"was started with seed = 1, not 2; resume it as it was started, or start"):
+        run.train(small, trained, seed=2, resume=True)
+
+
+def test_resuming_with_another_configuration_names_the_key(small, trained):
+    other = small.model_copy(update={"search": small.search.model_copy(update={"noise_std": 0.5})})
+    with pytest.raises(InputError, match=r"was started with search.noise_std = 0.05, not 0.5"):
+        run.train(other, trained, seed=1, resume=True)
+
+
+def test_a_run_is_evaluated_in_its_own_world_unless_told_otherwise(trained, small):
+    assert run.world(["rule", str(trained)]) == small
+    assert run.world([str(trained)], ["traffic.vehicles=3"]).traffic.vehicles == 3
+    assert run.world(["rule"]) == config.Config()
+
+
+def test_a_policy_refuses_another_observation(trained):
+    with pytest.raises(InputError, match=r"on another observation \(8 features\) than it is to drive with \(48\)"):
+        run.find_driver(str(trained), config.Config())
+
+
+@pytest.mark.parametrize("file", [POLICY, CLONE, CHECKPOINT])
+@pytest.mark.parametrize("kept", [0, 4, 100, -1])
+def test_a_truncated_file_is_named_in_one_line(trained, small, file, kept):
+    path = trained / file
+    path.write_bytes(path.read_bytes()[:kept])
+    with pytest.raises(
+        InputError, match=rf"'.*{file}' is truncated or damaged \(.*\); restore it or train again"
+    ) as error:
+        run.train(small, trained, seed=1, resume=True) if file == CHECKPOINT else run.find_driver(str(trained), small)
+    assert "\n" not in str(error.value)
+
+
+@pytest.mark.parametrize("file", ["config.toml", POLICY, CLONE])
+def test_a_missing_file_is_named_in_one_line(trained, small, file):
+    (trained / file).unlink()
+    with pytest.raises(InputError, match=f"is not a .*run directory: it has no {file}"):
+        run.find_driver(str(trained), small)
+
+
+def test_a_policy_of_another_shape_is_damaged(trained, small):
+    path = trained / POLICY
+    with safe_open(path, framework="numpy") as file:
+        about = file.metadata()
+    tensors = load_file(path)
+    save_file(tensors | {"theta": tensors["theta"][:-1]}, path, metadata=about)
+    with pytest.raises(InputError, match=r"damaged \(ValueError: theta must have shape"):
+        run.find_driver(str(trained), small)
+
+
+def test_an_existing_folder_is_refused_before_any_work(small, driven, tmp_path):
+    with pytest.raises(InputError, match=r"exists; go on with it by --resume, or choose another with --out"):
+        run.train(small, tmp_path, seed=1)
+    assert driven == []
+
+
+def test_one_worker_and_two_give_the_same_tables_byte_for_byte(tmp_path):
+    world = config.load(None, ["episode.duration_s=20.0"])
+    for workers in (1, 2):
+        tables = run.evaluate({"rule": "rule", "random": "random"}, world, episodes=2, seed=0, workers=workers)
+        run.report.write(*tables, tmp_path / str(workers))
+    assert contents(tmp_path / "1") == contents(tmp_path / "2")
