@@ -4,6 +4,7 @@
 # is imported by the command that needs it.
 import json
 import os
+import shlex
 import sys
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
@@ -76,7 +77,7 @@ def train(
         with _bars() as observer:
             tables = run.train(chosen, out, seed=seed or 0, workers=n_workers, resume=resume, observer=observer)
     except KeyboardInterrupt:
-        hint = f"; go on with: rail-sumo train --out {out} --resume" if out.exists() else ""
+        hint = f"; go on with: rail-sumo train --out {shlex.quote(str(out))} --resume" if out.exists() else ""
         print(f"rail-sumo: interrupted{hint}", file=sys.stderr)
         raise typer.Exit(130) from None
     _show(tables, out)
@@ -198,36 +199,36 @@ def _workers(text: str) -> int | Literal["ray"]:
     return int(text)
 
 
-# What a bar tells of the part just done, of whatever it is told.
+# What a bar tells of the part just done. With it the bar fits into 80 columns.
+_DRIVEN = "{speed_kmh:.1f} km/h {lane_changes:.1f} changes"
 _FIGURES = {
-    "mean_return": "reward {:+.2f}",
-    "judge_expert_mean": "judge {:.2f} expert",
-    "judge_learner_mean": "{:.2f} learner",
-    "speed_kmh": "{:.1f} km/h",
-    "lane_changes": "{:.1f} lane changes",
+    "train": "reward {mean_return:+.2f} judge {judge_expert_mean:.2f}/{judge_learner_mean:.2f} " + _DRIVEN,
+    "eval": _DRIVEN,
+    "record": _DRIVEN,
 }
 
 
 class _Bars:
-    """An `Observer` that draws a bar for each piece of work."""
+    """A `run.Observer` that draws a bar for each piece of work."""
 
     def __init__(self, progress: Progress) -> None:
         self._progress = progress
         self._task = TaskID(0)
+        self._form = ""
 
     def start(self, work: str, total: int, done: int = 0) -> None:
+        self._form = _FIGURES.get(work, "")
         self._task = self._progress.add_task(work, total=total, completed=done, figures="")
 
     def advance(self, figures: Mapping[str, float]) -> None:
-        told = ", ".join(form.format(figures[name]) for name, form in _FIGURES.items() if name in figures)
-        self._progress.update(self._task, advance=1, figures=told)
+        self._progress.update(self._task, advance=1, figures=self._form.format_map(figures))
 
 
 @contextmanager
 def _bars() -> Iterator[_Bars]:
     columns = (
         TextColumn("{task.description}"),
-        BarColumn(bar_width=20),
+        BarColumn(bar_width=8),
         MofNCompleteColumn(),
         TimeRemainingColumn(),
         TextColumn("{task.fields[figures]}"),

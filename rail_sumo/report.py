@@ -111,12 +111,14 @@ _SHOWN = {
 
 def table(summary: pd.DataFrame) -> Table:
     """Return the means for the terminal, a row per policy; below each mean, dimmed, its ratio to the expert's."""
-    shown = Table("policy", box=SIMPLE_HEAD, caption="means over the episodes; below them, ratios to the expert")
+    policies = summary["policy"].unique()
+    ratios = "; below them, ratios to the expert" if EXPERT in policies and len(policies) > 1 else ""
+    shown = Table("policy", box=SIMPLE_HEAD, caption=f"means over the episodes{ratios}")
     shown.columns[0].overflow = "fold"
     for heading in _SHOWN:
         shown.add_column(heading, justify="right")
     by_metric = summary.set_index(["policy", "metric"])
-    for policy in summary["policy"].unique():
+    for policy in policies:
         cells = []
         for metric, form in _SHOWN.values():
             mean, ratio = by_metric.loc[(policy, metric), ["mean", "ratio_to_expert"]]
@@ -127,7 +129,8 @@ def table(summary: pd.DataFrame) -> Table:
 
 
 def _typed(rows: Iterable[dict[str, Any]], columns: dict[str, str]) -> pd.DataFrame:
-    return pd.DataFrame(rows, columns=list(columns)).astype(columns).round(DECIMALS)
+    table = pd.DataFrame(rows, columns=list(columns)).astype(columns).round(DECIMALS)
+    return table.replace(-0.0, 0.0)
 
 
 def _finite(values: pd.Series) -> Floats:

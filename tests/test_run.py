@@ -12,7 +12,7 @@ import pytest
 from safetensors import safe_open
 from safetensors.numpy import load_file, save_file
 
-from rail_sumo import config, rollout, run
+from rail_sumo import config, drivers, rollout, run
 from rail_sumo.errors import InputError
 from rail_sumo.imitation.demonstrations import Demonstrations
 from rail_sumo.records import Trajectory
@@ -57,6 +57,7 @@ def driven(monkeypatch):
         return drive(task)
 
     monkeypatch.setattr(rollout, "drive", drive_and_note)
+    monkeypatch.setattr(drivers, "load_expert", lambda world: None)
     monkeypatch.setattr(run.time, "perf_counter", lambda: 0.0)
     return tasks
 
@@ -164,6 +165,13 @@ def test_training_moves_the_policy_and_tells_of_every_iteration(small, driven, t
     assert list(episodes["policy"].unique()) == ["rail", "clone", "expert"]
     pd.testing.assert_frame_equal(episodes, pd.read_parquet(tmp_path / "run" / "episodes.parquet"))
     pd.testing.assert_frame_equal(summary, pd.read_parquet(tmp_path / "run" / "summary.parquet"))
+
+
+def test_an_expert_that_senses_something_else_is_left_out(small, driven, tmp_path, monkeypatch):
+    monkeypatch.undo()
+    monkeypatch.setattr(rollout, "drive", drive)
+    episodes, _ = run.train(small, tmp_path / "run", seed=1)
+    assert list(episodes["policy"].unique()) == ["rail", "clone"]
 
 
 def test_both_signs_meet_the_same_traffic_which_is_new_each_iteration_and_never_evaluated_on(small, driven, tmp_path):

@@ -129,13 +129,14 @@ class HighwayEnv(gymnasium.Env[Floats, np.int64]):
         host = simulation.host()
         adas.decide(MetaAction(action), host, simulation.gaps)
         driven = 0
-        while driven < self._period_steps:
+        while True:
             was_changing = adas.changing_lane
             command = adas.command(host, simulation.gaps, steps=self._period_steps - driven)
             steps = simulation.run(command)
             driven += steps
             self._lane_changing += [was_changing] * steps
-            if simulation.contact or (was_changing and not adas.changing_lane):
+            ended_change = was_changing and not adas.changing_lane
+            if driven >= self._period_steps or ended_change or simulation.contact:
                 break
             host = simulation.host()
         return self._look(driven), driven

@@ -16,6 +16,9 @@ CLEAR_OF_CHANGE_M = 40.0
 """Nobody this near the host begins a lane change while the host is changing lanes: two drivers who move into the same
 lane from either side do not see each other until it is late."""
 
+PERIOD_S = 2.0
+"""How often the window looks for vehicles that have left it."""
+
 
 class Traffic(Protocol):
     """What an episode asks of its traffic."""
@@ -63,6 +66,7 @@ class MovingWindow:
         self._rng = rng
         self._names = count()
         self._start_m: dict[str, float] = {}  # place on the course at insertion; an odometer adds the rest
+        self._since_update_s = 0.0
         self._fill(host_lane)
 
     def _fill(self, host_lane: int) -> None:
@@ -79,12 +83,17 @@ class MovingWindow:
 
     def update(self, *, elapsed_s: float, host_changing_lane: bool) -> None:
         """Replace who left the window, then let each vehicle try a lane change once in the configured mean time."""
+        self._since_update_s += elapsed_s
+        if self._since_update_s < PERIOD_S:
+            return
+        tries = self._since_update_s / self._config.lane_change_every_s
+        self._since_update_s = 0.0
         host_m = self._host_start_m + self._simulation.travelled_m(HOST)
         ahead_m = self._ahead_m(host_m)
         for name in [name for name, ahead in ahead_m.items() if not self._holds(ahead)]:
             self._simulation.remove_vehicle(name)
             del self._start_m[name], ahead_m[name]
-        self._order_lane_changes(ahead_m, elapsed_s / self._config.lane_change_every_s, host_changing_lane)
+        self._order_lane_changes(ahead_m, tries, host_changing_lane)
         for _ in range(self._config.vehicles - len(ahead_m)):
             self._replace(host_m)
 

@@ -6,11 +6,12 @@ from torch.nn import functional
 
 from rail_sumo import config
 from rail_sumo.imitation.demonstrations import Demonstrations
-from rail_sumo.imitation.perceptron import perceptron
+from rail_sumo.imitation.perceptron import perceptron, single_threaded
 from rail_sumo.policy import N_ACTIONS, Shape, Whitening
 from rail_sumo.records import Floats
 
 
+@single_threaded()
 def clone(
     demonstrations: Demonstrations, shape: Shape, whitening: Whitening, cloning: config.Cloning, seed: int
 ) -> Floats:

@@ -92,6 +92,9 @@ class Demonstrations:
             ValueError: not one name per feature.
             InputError: the file cannot be written.
         """
+        n_features = self.observations.shape[1]
+        if len(features) != n_features:
+            raise ValueError(f"features must name {n_features} columns; got {len(features)} names")
         columns = dict(zip(features, self.observations.astype(np.float32).T, strict=True))
         columns |= {ACTION: self.actions.astype(np.int8), EPISODE: self.episode.astype(np.int32)}
         metadata = json.dumps({"features": list(features), "about": dict(about)})

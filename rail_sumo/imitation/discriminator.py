@@ -17,7 +17,7 @@ from torch import Tensor
 
 from rail_sumo import config
 from rail_sumo.imitation.demonstrations import Demonstrations
-from rail_sumo.imitation.perceptron import perceptron
+from rail_sumo.imitation.perceptron import perceptron, single_threaded
 from rail_sumo.policy import N_ACTIONS, Whitening
 from rail_sumo.records import Floats, Trajectory
 
@@ -65,6 +65,7 @@ class Judge:
         # Pairs of earlier iterations, oldest first; each fit adds the newest one's itself.
         self._replay: deque[Tensor] = deque(maxlen=settings.replay_iterations - 1)
 
+    @single_threaded()
     def fit(self, expert: Demonstrations, learner: Sequence[Trajectory], rng: np.random.Generator) -> JudgeLoss:
         """Train on minibatches of `batch_size` pairs from either side, drawn with replacement.
 
@@ -90,6 +91,7 @@ class Judge:
             on_expert, on_learner = self._judge(expert_pairs), self._judge(newest_pairs)
         return JudgeLoss(least_squares(on_expert, on_learner).item(), on_expert.mean().item(), on_learner.mean().item())
 
+    @single_threaded()
     def rewards(self, observations: Floats, actions: NDArray[np.int64]) -> Floats:
         """Return log D - log(1 - D), clipped at ±reward_clip, of each of n pairs.
 
@@ -114,10 +116,12 @@ class Judge:
             return np.empty(0)
         rewards = self.rewards(*_decisions(trajectories))
         ends = np.cumsum([len(trajectory.actions) for trajectory in trajectories])
-        return np.array([
-            self._return(of_rollout, crashed=trajectory.end_reason == "collision")
-            for of_rollout, trajectory in zip(np.split(rewards, ends[:-1]), trajectories, strict=True)
-        ])  # fmt: skip
+        return np.array(
+            [
+                self._return(of_rollout, crashed=trajectory.end_reason == "collision")
+                for of_rollout, trajectory in zip(np.split(rewards, ends[:-1]), trajectories, strict=True)
+            ]
+        )
 
     def state(self) -> dict[str, NDArray[Any]]:
         """Return copies of all that a later fit depends on: weights, Adam's moments, replayed pairs."""

@@ -1,6 +1,7 @@
 """The one kind of network here: fully connected, tanh between its layers, none after the last."""
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
 from itertools import pairwise
 
 import numpy as np
@@ -16,3 +17,19 @@ def perceptron(sizes: Sequence[int], rng: np.random.Generator) -> nn.Sequential:
         for n_inputs, n_outputs in pairwise(sizes):
             layers += [nn.Linear(n_inputs, n_outputs), nn.Tanh()]
     return nn.Sequential(*layers[:-1])
+
+
+@contextmanager
+def single_threaded() -> Iterator[None]:
+    """Let torch compute in this thread alone; also a decorator.
+
+    Networks this small give a second thread too little to do. Where other processes want the cores too, threads wait
+    for each other: a fit of the judge then took thirty times as long with two as with one. And with one, a sum does
+    not depend on how many cores a machine has.
+    """
+    n_threads = torch.get_num_threads()
+    torch.set_num_threads(1)
+    try:
+        yield
+    finally:
+        torch.set_num_threads(n_threads)

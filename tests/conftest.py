@@ -1,0 +1,36 @@
+from itertools import product
+
+import numpy as np
+import pytest
+
+
+def _corners(scene, index):
+    ahead = 0.5 * scene.length_m[index] * np.array([np.cos(scene.heading_rad[index]), np.sin(scene.heading_rad[index])])
+    left = 0.5 * scene.width_m[index] * np.array([-np.sin(scene.heading_rad[index]), np.cos(scene.heading_rad[index])])
+    centre = np.array([scene.x_m[index], scene.y_m[index]])
+    return np.array([centre + a * ahead + b * left for a, b in product((-1, 1), repeat=2)])
+
+
+def _apart(one, other, headings):
+    """Two rectangles are apart if their shadows on a side of either are (separating axes)."""
+    for heading in headings:
+        for axis in ((np.cos(heading), np.sin(heading)), (-np.sin(heading), np.cos(heading))):
+            if max((one @ axis).min(), (other @ axis).min()) >= min((one @ axis).max(), (other @ axis).max()):
+                return True
+    return False
+
+
+@pytest.fixture(scope="session")
+def touching():
+    """A function that names the vehicles of a scene whose rectangles overlap the host's; it knows nothing of SUMO."""
+
+    def of(scene):
+        host = _corners(scene, 0)
+        near = np.hypot(scene.x_m - scene.x_m[0], scene.y_m - scene.y_m[0]) < 30.0
+        return [
+            scene.ids[index]
+            for index in np.flatnonzero(near)[1:]
+            if not _apart(host, _corners(scene, index), (scene.heading_rad[0], scene.heading_rad[index]))
+        ]
+
+    return of

@@ -1,0 +1,462 @@
+import dataclasses
+import math
+from itertools import pairwise
+
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from rail_sumo import config
+from rail_sumo.highway.adas import SUMO_DECIDES, Adas, HandsOff
+from rail_sumo.records import KMH, Gaps, HostState, MetaAction
+
+KEEP, ACCELERATE, DECELERATE, LEFT, RIGHT = MetaAction
+LANE_M = 3.2
+STRIDE_M = 0.17  # 1.7 m/s sideways in a step of 0.1 s
+STEPS_PER_CHANGE = 19  # 3.2 / 0.17 = 18.8
+
+MIDDLE = HostState(
+    speed_mps=20.0, lane=2, rightmost_lane=0, leftmost_lane=4, to_edge_end_m=1000.0, lane_width_m=LANE_M
+)
+FREE = Gaps(ahead_m=math.inf, ahead_speed_mps=0.0, behind_m=math.inf, behind_speed_mps=0.0)
+CLOSED = dataclasses.replace(FREE, ahead_m=1.0)
+
+
+def free(side):
+    return FREE
+
+
+def closed(side):
+    return CLOSED
+
+
+def closed_on(*sides):
+    return lambda side: CLOSED if side in sides else FREE
+
+
+def at(**changes):
+    return dataclasses.replace(MIDDLE, **changes)
+
+
+def kmh(speed):
+    return at(speed_mps=speed / KMH)
+
+
+class Road:
+    """Carries the layer's commands out to the letter, and keeps where the host is across the whole road."""
+
+    def __init__(self, adas, host=MIDDLE):
+        self.adas, self.host = adas, host
+        self.gaps = free
+        self.commands = []
+
+    def decide(self, action):
+        self.adas.decide(action, self.host, self.gaps)
+
+    def step(self, steps=1):
+        for _ in range(steps):
+            command = self.adas.command(self.host, self.gaps, steps=1)
+            self.commands.append(command)
+            self.host = dataclasses.replace(self.host, lane=self.host.lane + command.cross)
+
+    def finish(self):
+        """Drive the change under way to its end, whichever; returns where it passed, across the road."""
+        passed = []
+        while self.adas.changing_lane:
+            assert len(passed) < 2 * STEPS_PER_CHANGE, "it never ends"
+            self.step()
+            passed.append(self.left_m)
+        return passed
+
+    @property
+    def left_m(self):
+        """Metres to the left of the centre of lane 0."""
+        return self.host.lane * LANE_M + self.commands[-1].lateral_m
+
+    @property
+    def crossings(self):
+        return [command.cross for command in self.commands if command.cross]
+
+    @property
+    def counts(self):
+        return self.adas.lane_changes, self.adas.aborted_lane_changes, self.adas.refused_decisions
+
+
+@pytest.fixture
+def adas():
+    return Adas(config.Adas())
+
+
+@pytest.fixture
+def road(adas):
+    return Road(adas)
+
+
+# The set speed.
+
+
+def test_the_host_starts_at_60_kmh(adas):
+    assert adas.command(kmh(60), free, steps=1).speed_mps == pytest.approx(60 / KMH)
+
+
+@pytest.mark.parametrize(
+    ("action", "driven_kmh", "set_kmh"),
+    [
+        (ACCELERATE, 60, 65),
+        (ACCELERATE, 78, 80),
+        (ACCELERATE, 80, 80),
+        (ACCELERATE, 20, 40),  # behind a slow leader: up to the lowest set speed
+        (ACCELERATE, 50, 55),  # from the speed driven, not from the 60 that were set
+        (DECELERATE, 60, 55),
+        (DECELERATE, 42, 40),
+        (DECELERATE, 30, 40),
+        (KEEP, 50, 60),
+    ],
+)
+def test_a_decision_sets_the_speed_driven_plus_or_minus_5_kmh_within_40_and_80(adas, action, driven_kmh, set_kmh):
+    adas.decide(action, kmh(driven_kmh), free)
+    crawling = kmh(1)  # below every set speed, where no ramp hides it
+    assert adas.command(crawling, free, steps=1).speed_mps == pytest.approx(set_kmh / KMH)
+    assert adas.refused_decisions == 0
+
+
+def test_slower_is_reached_down_a_ramp_of_comfortable_braking(adas):
+    adas.decide(DECELERATE, kmh(60), free)
+    speeds = [60 / KMH]
+    for _ in range(8):
+        speeds.append(adas.command(at(speed_mps=speeds[-1]), free, steps=10).speed_mps)
+    # 2 m/s² are 0.2 m/s a step: 5 km/h, 1.389 m/s, are six full steps and the rest.
+    ramp = [faster - slower for faster, slower in pairwise(speeds)]
+    assert ramp == pytest.approx([0.2] * 6 + [5 / KMH - 1.2, 0.0])
+    assert speeds[-1] == pytest.approx(55 / KMH)
+
+
+def test_the_ramp_needs_a_fresh_look_at_every_step_and_cruising_none(adas):
+    adas.decide(DECELERATE, kmh(60), free)
+    assert adas.command(kmh(60), free, steps=10).steps == 1
+    assert adas.command(kmh(55), free, steps=10).steps == 10
+
+
+def test_a_lane_change_needs_a_fresh_look_at_every_step(adas):
+    adas.decide(LEFT, MIDDLE, free)
+    assert adas.command(MIDDLE, free, steps=10).steps == 1
+
+
+def test_speed_decisions_act_during_a_lane_change_and_the_change_goes_on(road):
+    road.decide(LEFT)
+    road.step(5)
+    road.decide(ACCELERATE)
+    road.step(STEPS_PER_CHANGE - 5)
+    assert road.commands[-1].speed_mps == pytest.approx(20.0 + 5 / KMH)
+    assert road.counts == (1, 0, 0)
+
+
+# A lane change that is left to go on.
+
+
+@pytest.mark.parametrize(("action", "side"), [(LEFT, 1), (RIGHT, -1)])
+def test_a_lane_change_takes_19_steps_at_1_7_mps_and_ends_in_the_next_lanes_centre(road, action, side):
+    road.decide(action)
+    offsets = [side * (left_m - 2 * LANE_M) for left_m in road.finish()]
+    assert offsets == pytest.approx([STRIDE_M * step for step in range(1, STEPS_PER_CHANGE)] + [LANE_M])
+    assert (road.host.lane, road.commands[-1].lateral_m) == (2 + side, 0.0)
+    assert road.crossings == [side]
+    assert road.counts == (1, 0, 0)
+
+
+def test_the_host_crosses_over_between_a_quarter_metre_before_the_border_and_the_border(road):
+    road.decide(LEFT)
+    passed = road.finish()
+    first = next(index for index, command in enumerate(road.commands) if command.cross)
+    assert LANE_M / 2 - 0.25 <= passed[first] - 2 * LANE_M < LANE_M / 2
+
+
+def test_what_the_layer_says_of_a_change_under_way(road):
+    assert (road.adas.changing_lane, road.adas.side, road.adas.lateral_m) == (False, None, 0.0)
+    road.decide(RIGHT)
+    road.step(12)  # beyond the border: still told from the centre of the lane it set out from
+    assert (road.adas.changing_lane, road.adas.side) == (True, -1)
+    assert road.adas.lateral_m == pytest.approx(-12 * STRIDE_M)
+    road.step(7)
+    assert (road.adas.changing_lane, road.adas.side, road.adas.lateral_m) == (False, None, 0.0)
+
+
+# Refusals and the gate.
+
+
+@pytest.mark.parametrize(
+    ("action", "host", "gaps"),
+    [
+        (LEFT, at(lane=4), free),
+        (RIGHT, at(lane=0), free),
+        (LEFT, at(to_edge_end_m=37.6), free),  # 20 m/s for 3.2 / 1.7 s are 37.65 m
+        (LEFT, MIDDLE, closed_on(1)),
+        (RIGHT, MIDDLE, closed_on(-1)),
+    ],
+)
+def test_a_change_without_lane_or_road_or_gap_is_refused_counted_and_not_begun(adas, action, host, gaps):
+    assert not adas.allowed(host, gaps)[action]
+    adas.decide(action, host, gaps)
+    assert adas.refused_decisions == 1
+    assert not adas.changing_lane
+    command = adas.command(host, gaps, steps=1)
+    assert (command.lateral_m, command.cross) == (0.0, 0)
+
+
+@pytest.mark.parametrize(
+    ("action", "host", "gaps"),
+    [
+        (LEFT, at(lane=3), closed_on(-1, 0)),
+        (RIGHT, at(lane=1), closed_on(1, 0)),
+        (LEFT, at(to_edge_end_m=37.7), free),
+    ],
+)
+def test_a_change_into_a_free_lane_is_allowed_whatever_the_other_lanes_hold(adas, action, host, gaps):
+    assert adas.allowed(host, gaps)[action]
+    adas.decide(action, host, gaps)
+    assert (adas.changing_lane, adas.refused_decisions) == (True, 0)
+
+
+@pytest.mark.parametrize(
+    ("which", "speed_mps", "least_m"),
+    [
+        # Standstill gap 2 m, half a second of reaction, and the difference of the stopping distances.
+        ("ahead", 20.0, 2 + 10),
+        ("ahead", 30.0, 2 + 10),
+        ("ahead", 10.0, 2 + 10 + (20**2 - 10**2) / (2 * 9)),
+        ("ahead", 0.0, 2 + 10 + 20**2 / (2 * 9)),
+        ("behind", 20.0, 2 + 10),
+        ("behind", 10.0, 2 + 5),  # a slower one needs less time, never less than nothing
+        ("behind", 25.0, 2 + 12.5 + (25**2 - 20**2) / (2 * 4.5)),
+    ],
+)
+def test_the_gate_opens_at_gipps_distance_and_not_a_hair_before(which, speed_mps, least_m):
+    def allows(gap_m):
+        gap = dataclasses.replace(FREE, **{f"{which}_m": gap_m, f"{which}_speed_mps": speed_mps})
+        return Adas(config.Adas()).allowed(MIDDLE, lambda side: gap)[LEFT]
+
+    assert allows(least_m + 1e-6)
+    assert not allows(least_m - 1e-6)
+
+
+def test_the_gate_counts_with_the_hosts_own_braking_and_standstill_gap():
+    gap = dataclasses.replace(FREE, ahead_m=5 + 10 + 20**2 / (2 * 4) + 1e-6)
+    weak = config.Adas(emergency_braking_mps2=4.0, standstill_gap_m=5.0)
+    assert Adas(weak).allowed(MIDDLE, lambda side: gap)[LEFT]
+    assert not Adas(weak).allowed(MIDDLE, lambda side: dataclasses.replace(gap, ahead_m=gap.ahead_m - 2e-6))[LEFT]
+
+
+def test_a_vehicle_alongside_closes_the_gate(adas):
+    alongside = dataclasses.replace(FREE, behind_m=-3.0, behind_speed_mps=20.0)
+    assert adas.allowed(MIDDLE, lambda side: alongside) == [True, True, True, False, False]
+
+
+# Reversal.
+
+
+@pytest.mark.parametrize(("action", "back", "side"), [(LEFT, RIGHT, 1), (RIGHT, LEFT, -1)])
+@pytest.mark.parametrize(("part", "crosses"), [(0.25, 0), (0.5, 2), (0.75, 2)])
+def test_a_reversed_change_returns_to_the_centre_it_left_and_is_counted_as_aborted(
+    road, action, back, side, part, crosses
+):
+    there = math.ceil(part * LANE_M / STRIDE_M)
+    road.decide(action)
+    road.step(there)
+    assert side * road.adas.lateral_m == pytest.approx(there * STRIDE_M)
+    road.decide(back)
+    passed = road.finish()
+    assert len(passed) == there  # as long as it took to get there
+    assert (road.host.lane, road.commands[-1].lateral_m) == (2, 0.0)
+    assert road.crossings == [side, -side][:crosses]
+    assert road.counts == (0, 1, 0)
+
+
+def test_a_reversed_change_runs_to_its_end(road):
+    road.decide(LEFT)
+    road.step(14)
+    road.decide(RIGHT)
+    road.step(2)
+    road.decide(LEFT)
+    assert road.adas.refused_decisions == 1
+    road.finish()
+    assert road.host.lane == 2
+    assert road.counts == (0, 1, 1)
+
+
+def test_once_across_the_way_back_needs_a_gap_in_the_lane_it_came_from(road):
+    road.decide(LEFT)
+    road.step(12)
+    road.gaps = closed_on(-1)  # to its right, now that it is a vehicle of the lane to the left
+    assert not road.adas.allowed(road.host, road.gaps)[RIGHT]
+    road.decide(RIGHT)
+    road.step(STEPS_PER_CHANGE - 12)
+    assert road.host.lane == 3
+    assert road.counts == (1, 0, 1)
+
+
+def test_once_across_the_way_back_needs_road_enough(road):
+    road.decide(LEFT)
+    road.step(12)
+    road.host = dataclasses.replace(road.host, to_edge_end_m=30.0)
+    assert not road.adas.allowed(road.host, road.gaps)[RIGHT]
+    road.decide(RIGHT)
+    assert road.adas.refused_decisions == 1
+
+
+def test_before_the_border_the_layer_turns_back_when_the_gap_closes(road):
+    road.decide(LEFT)
+    road.step(5)
+    road.gaps = closed_on(1)
+    assert max(road.finish()) - 2 * LANE_M < 5 * STRIDE_M
+    assert road.host.lane == 2
+    assert road.crossings == []
+    assert road.counts == (0, 1, 0)
+
+
+def test_the_gap_is_looked_at_in_the_very_step_of_the_crossing(road):
+    road.decide(LEFT)
+    road.step(7)  # 1.19 m; the next step would cross
+    road.gaps = closed_on(1)
+    road.step()
+    assert road.crossings == []
+    road.step(7)
+    assert road.counts == (0, 1, 0)
+
+
+def test_beyond_the_border_a_closing_gap_no_longer_turns_it_back(road):
+    road.decide(LEFT)
+    road.step(9)
+    road.gaps = closed_on(1, -1)
+    road.step(10)
+    assert road.host.lane == 3
+    assert road.counts == (1, 0, 0)
+
+
+def test_a_gap_that_closes_on_the_way_back_is_not_crossed_into(road):
+    road.decide(LEFT)
+    road.step(17)
+    road.decide(RIGHT)  # a metre to go until it crosses back
+    road.step(2)
+    road.gaps = closed_on(-1)
+    road.finish()
+    assert road.host.lane == 3
+    assert road.crossings == [1]
+
+
+def test_during_a_change_only_holding_or_turning_back_is_allowed(road):
+    road.decide(LEFT)
+    road.step(3)
+    assert road.adas.allowed(road.host, free) == [True, False, False, False, True]
+    road.decide(RIGHT)
+    assert road.adas.allowed(road.host, free) == [True, False, False, False, False]
+
+
+gap = st.builds(
+    Gaps,
+    ahead_m=st.sampled_from([-2.0, 10.0, 12.5, 30.0, math.inf]),
+    ahead_speed_mps=st.sampled_from([0.0, 15.0, 25.0]),
+    behind_m=st.sampled_from([-2.0, 10.0, 12.5, 30.0, math.inf]),
+    behind_speed_mps=st.sampled_from([0.0, 15.0, 25.0]),
+)
+turns = st.lists(
+    st.tuples(
+        st.sampled_from(MetaAction),
+        st.integers(1, 8),  # steps until the next decision
+        st.one_of(st.just((FREE, FREE)), st.tuples(gap, gap)),  # the gaps to the left and to the right from now on
+    ),
+    max_size=25,
+)
+
+
+def drive(turns, lane=2):
+    """Yield the road after every step of a drive through any decisions and any gaps."""
+    road = Road(Adas(config.Adas()), at(lane=lane))
+    for action, steps, (left, right) in turns:
+        road.gaps = {1: left, -1: right}.__getitem__
+        road.decide(action)
+        for _ in range(steps):
+            road.step()
+            yield road
+
+
+@given(turns, st.integers(0, 4))
+def test_whatever_happens_the_host_moves_sideways_steadily_and_stays_on_the_road(turns, lane):
+    before = lane * LANE_M
+    for road in drive(turns, lane):
+        assert 0.0 <= road.left_m <= 4 * LANE_M
+        assert abs(road.left_m - before) <= STRIDE_M + 1e-9
+        before = road.left_m
+
+
+@given(turns)
+def test_whatever_happens_a_change_stays_within_its_two_lanes_and_crosses_there_and_back_in_turn(turns):
+    start, crossings = 2, []
+    for road in drive(turns):
+        crossings += [road.commands[-1].cross] if road.commands[-1].cross else []
+        side = road.adas.side
+        if side is not None:
+            assert -1e-9 <= side * (road.left_m - start * LANE_M) <= LANE_M + 1e-9
+        assert crossings in ([], [1], [-1], [1, -1], [-1, 1])
+        if not road.adas.changing_lane:
+            assert road.commands[-1].lateral_m == 0.0
+            assert road.host.lane - start == sum(crossings)
+            start, crossings = road.host.lane, []
+
+
+@given(turns)
+def test_whatever_happens_changes_are_counted_as_a_bystander_would(turns):
+    settled, was_away, changes, aborted = 2, False, 0, 0
+    for road in drive(turns):
+        is_away = road.commands[-1].lateral_m != 0.0 or road.adas.changing_lane
+        if was_away and not is_away:
+            changes += road.host.lane != settled
+            aborted += road.host.lane == settled
+            settled = road.host.lane
+        was_away = is_away
+        assert road.counts[:2] == (changes, aborted)
+
+
+@given(turns)
+def test_whatever_happens_the_host_crosses_only_into_a_gap_that_is_safe_in_that_step(turns):
+    for road in drive(turns):
+        cross = road.commands[-1].cross
+        if cross:
+            assert Adas(config.Adas()).allowed(MIDDLE, lambda side, cross=cross, road=road: road.gaps(cross))[LEFT]
+
+
+@given(turns, st.sampled_from(MetaAction))
+def test_what_the_mask_allows_is_never_refused_and_a_forbidden_start_always_is(turns, action):
+    road = None
+    for road in drive(turns):
+        pass
+    if road is None:
+        return
+    allowed, changing, refused = road.adas.allowed(road.host, road.gaps), road.adas.changing_lane, road.counts[2]
+    road.decide(action)
+    if allowed[action]:
+        assert road.counts[2] == refused
+    elif not changing:
+        assert road.counts[2] == refused + 1
+
+
+# SUMO's own driver.
+
+
+def test_hands_off_leaves_the_speed_to_sumo_and_counts_its_lane_changes():
+    adas = HandsOff()
+    under_way = []
+    for lane in (2, 2, 3, 3, 1, 1):
+        adas.decide(LEFT, at(lane=lane), free)
+        command = adas.command(at(lane=lane), free, steps=10)
+        assert (command.speed_mps, command.cross, command.steps) == (SUMO_DECIDES, 0, 1)
+        under_way.append(adas.changing_lane)
+    assert under_way == [False, False, True, False, True, False]
+    assert (adas.lane_changes, adas.refused_decisions) == (2, 0)
+
+
+def test_hands_off_does_not_take_new_lane_numbers_beyond_a_junction_for_lane_changes():
+    adas = HandsOff()
+    junction = HostState(20.0, 0, 0, 0, to_edge_end_m=0.0, lane_width_m=0.0)
+    for host in (at(lane=2, to_edge_end_m=1.0), junction, at(lane=1, to_edge_end_m=500.0), at(lane=1)):
+        adas.command(host, free, steps=1)
+    assert adas.lane_changes == 0

@@ -1,0 +1,224 @@
+import numpy as np
+import pytest
+import torch
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from toy import episode
+
+from rail_sumo.config import Judge as Settings
+from rail_sumo.imitation.demonstrations import Demonstrations
+from rail_sumo.imitation.discriminator import EXPERT_LABEL, LEARNER_LABEL, Judge
+from rail_sumo.policy import Whitening
+
+HORIZON = 40
+CLIP = 5.0
+SMALL = Settings(hidden=(8, 8), minibatches=3, batch_size=16)
+THOROUGH = Settings(hidden=(8,), learning_rate=0.01, minibatches=600, gradient_penalty=0.0)
+
+
+def judge(settings=SMALL, n_features=2, seed=0):
+    return Judge(n_features, Whitening(np.zeros(n_features), np.ones(n_features)), settings, seed, HORIZON)
+
+
+def constant_judge(logit):
+    """A judge to whom everything looks alike."""
+    constant = judge()
+    state = {name: np.zeros_like(weights) for name, weights in constant.state().items()}
+    last_bias = max(name for name in state if name.endswith("bias"))
+    constant.load_state(state | {last_bias: np.array([logit], dtype=np.float32)})
+    return constant
+
+
+def rollout(n_decisions, end_reason="duration", rng=None):
+    rng = rng or np.random.default_rng(n_decisions)
+    return episode(rng.normal(size=(n_decisions, 2)), rng.integers(5, size=n_decisions), end_reason)
+
+
+def demonstrations(seed=0, n_episodes=3):
+    rng = np.random.default_rng(seed)
+    return Demonstrations.from_trajectories([rollout(20, rng=rng) for _ in range(n_episodes)])
+
+
+def blind(counts):
+    """An episode of decisions made without anything to see: action k was taken counts[k] times."""
+    return episode(np.zeros((sum(counts), 1)), np.repeat(np.arange(5), counts))
+
+
+def test_it_finds_the_least_squares_optimum():
+    expert, learner = np.array([50, 20, 10, 10, 10]), np.array([10, 20, 50, 10, 10])
+    fitted = judge(THOROUGH, n_features=1)
+    demonstrated = Demonstrations.from_trajectories([blind(expert)])
+    loss = fitted.fit(demonstrated, [blind(learner)], np.random.default_rng(0))
+
+    # D* = p / (p + q) with labels 1 and 0 (Mao et al. 2017), so that the reward is log p - log q.
+    rewards = fitted.rewards(np.zeros((5, 1)), np.arange(5))
+    assert rewards == pytest.approx(np.log(expert / learner), abs=0.3)
+    best = expert / (expert + learner)
+    assert loss.expert_mean == pytest.approx(expert @ best / 100, abs=0.03)
+    assert loss.learner_mean == pytest.approx(learner @ best / 100, abs=0.03)
+    assert loss.loss == pytest.approx((expert @ (best - 1.0) ** 2 + learner @ best**2) / 200, abs=0.01)
+
+
+def test_of_two_that_look_the_same_it_makes_nothing():
+    """Negative control of the above."""
+    fitted = judge(THOROUGH, n_features=1)
+    same = blind([50, 20, 10, 10, 10])
+    loss = fitted.fit(Demonstrations.from_trajectories([same]), [same], np.random.default_rng(0))
+    assert fitted.rewards(np.zeros((5, 1)), np.arange(5)) == pytest.approx(np.zeros(5), abs=0.3)
+    assert loss.loss == pytest.approx(0.25, abs=0.005)
+
+
+def test_a_judge_with_hand_set_weights_gives_its_logit():
+    # D = 1 / (1 + e^-0.7): log D - log(1 - D) = 0.7.
+    assert constant_judge(0.7).returns([rollout(3), rollout(9)]) == pytest.approx([0.7, 0.7])
+
+
+def test_in_an_observation_it_sees_the_whitened_values():
+    plain, whitened = judge(), Judge(2, Whitening(np.array([1.0, -2.0]), np.array([4.0, 0.5])), SMALL, 0, HORIZON)
+    seen = np.array([[5.0, -1.0], [1.0, -2.5]])
+    expected = plain.rewards(np.array([[1.0, 2.0], [0.0, -1.0]]), np.array([0, 3]))
+    assert whitened.rewards(seen, np.array([0, 3])) == pytest.approx(expected)
+
+
+def test_the_reward_is_clipped():
+    assert constant_judge(123.0).returns([rollout(3)]) == pytest.approx([CLIP])
+    assert constant_judge(-123.0).returns([rollout(3)]) == pytest.approx([-CLIP])
+
+
+def test_the_returns_of_many_are_those_of_each():
+    judged = judge()
+    many = [rollout(5), rollout(1), rollout(30, "collision"), rollout(8)]
+    assert judged.returns(many) == pytest.approx([judged.returns([one])[0] for one in many])
+    assert judged.returns(many)[0] == pytest.approx(judged.rewards(many[0].observations, many[0].actions).mean())
+
+
+def test_a_crash_is_padded_with_the_lowest_reward_to_the_horizon():
+    # 10 decisions at 0 and 30 at -5: -150 / 40.
+    assert constant_judge(0.0).returns([rollout(10, "collision")]) == pytest.approx([-3.75])
+    # Beyond the horizon one absorbing decision is left: (49 * 1 - 5) / 50.
+    assert constant_judge(1.0).returns([rollout(49, "collision")]) == pytest.approx([0.88])
+
+
+@settings(deadline=None)
+@given(st.floats(-10.0, 10.0), st.integers(1, 60), st.integers(1, 60))
+def test_a_crash_never_pays_and_the_sooner_the_less(logit, sooner, later):
+    sooner, later = sorted((sooner, later))
+    constant = constant_judge(logit)
+    crash_soon, crash_late, safe = constant.returns(
+        [rollout(sooner, "collision"), rollout(later, "collision"), rollout(later)]
+    )
+    assert crash_late <= safe + 1e-9
+    assert crash_soon <= crash_late + 1e-9
+
+
+def test_a_rollout_without_a_decision_is_refused():
+    with pytest.raises(ValueError, match="at least one decision"):
+        judge().returns([rollout(3), rollout(0)])
+
+
+def test_labels_say_who_is_who():
+    """What only the expert does must end up near the expert's label."""
+    fitted = judge(SMALL.model_copy(update={"minibatches": 200, "learning_rate": 0.01}))
+    still = Demonstrations.from_trajectories([episode(np.zeros((50, 2)), np.full(50, 1))])
+    loss = fitted.fit(still, [episode(np.zeros((50, 2)), np.full(50, 2))], np.random.default_rng(0))
+    assert abs(loss.expert_mean - EXPERT_LABEL) < abs(loss.expert_mean - LEARNER_LABEL)
+    assert abs(loss.learner_mean - LEARNER_LABEL) < abs(loss.learner_mean - EXPERT_LABEL)
+
+
+def test_the_gradient_penalty_flattens_the_judge():
+    rng = np.random.default_rng(0)
+    near, far = (episode(rng.normal(centre, 0.3, (200, 2)), np.zeros(200)) for centre in (-1.0, 1.0))
+    expert = Demonstrations.from_trajectories([near])
+    losses = []
+    for penalty in (0.0, 0.1, 1.0):
+        settings = SMALL.model_copy(
+            update={"gradient_penalty": penalty, "minibatches": 300, "learning_rate": 0.01, "batch_size": 64}
+        )
+        losses.append(judge(settings).fit(expert, [far], np.random.default_rng(0)))
+    gaps = [loss.expert_mean - loss.learner_mean for loss in losses]
+    assert gaps[0] > 0.95
+    assert gaps[0] > gaps[1] > gaps[2] + 0.1
+
+
+@settings(max_examples=15, deadline=None)
+@given(replay=st.integers(1, 4), stop=st.integers(0, 4))
+def test_resumed_is_uninterrupted_bit_for_bit(replay, stop):
+    remembering = SMALL.model_copy(update={"replay_iterations": replay})
+
+    def fit(judged, iterations):
+        return [
+            judged.fit(demonstrations(), [rollout(4 + i), rollout(7)], np.random.default_rng(i)) for i in iterations
+        ]
+
+    uninterrupted = judge(remembering)
+    losses = fit(uninterrupted, range(5))
+
+    stopped = judge(remembering)
+    before = fit(stopped, range(stop))
+    resumed = judge(remembering, seed=99)
+    fit(resumed, range(7, 9))  # whatever it went through must be gone
+    resumed.load_state(stopped.state())
+    fit(stopped, range(7, 9))  # the state is a copy
+    assert before + fit(resumed, range(stop, 5)) == losses
+    state = uninterrupted.state()
+    assert resumed.state().keys() == state.keys()
+    assert all(np.array_equal(resumed.state()[name], state[name]) for name in state)
+
+
+def test_replay_keeps_the_last_iterations_and_no_more():
+    """Two judges that heard different stories agree again once the difference is out of memory."""
+    settings = SMALL.model_copy(update={"replay_iterations": 3, "learning_rate": 1e-30})
+    one, other = judge(settings), judge(settings)
+    for judged, first in ((one, rollout(6)), (other, rollout(11))):
+        judged.fit(demonstrations(), [first], np.random.default_rng(0))
+
+    def replayed(judged):
+        return [pairs for name, pairs in sorted(judged.state().items()) if name.startswith("replay")]
+
+    heard = []
+    for iteration, n_decisions in enumerate((3, 4), start=1):
+        for judged in (one, other):
+            judged.fit(demonstrations(), [rollout(n_decisions)], np.random.default_rng(iteration))
+        heard.append([len(pairs) for pairs in replayed(one)])
+    assert heard == [[3, 6], [4, 3]]  # the newest first; the next fit brings the third itself
+    assert all(np.array_equal(mine, yours) for mine, yours in zip(replayed(one), replayed(other), strict=True))
+
+
+def test_replay_is_learned_from():
+    """Shown something new, a judge with a memory still knows what the learner did before."""
+    expert = Demonstrations.from_trajectories([blind([50, 50, 0, 0, 0])])
+    remembering, forgetting = (judge(THOROUGH.model_copy(update={"replay_iterations": n}), 1) for n in (2, 1))
+    for judged in (remembering, forgetting):
+        judged.fit(expert, [blind([0, 100, 0, 0, 0])], np.random.default_rng(0))
+        judged.fit(expert, [blind([100, 0, 0, 0, 0])], np.random.default_rng(1))
+    done_before = np.zeros((1, 1)), np.array([1])
+    # The expert does it every other time; with a memory the learner does too, without one it never does.
+    assert remembering.rewards(*done_before) == pytest.approx([0.0], abs=0.3)
+    assert forgetting.rewards(*done_before)[0] > 2.0
+
+
+def test_a_seed_is_a_judge_and_the_worlds_chance_is_left_alone():
+    chance = torch.get_rng_state(), np.random.get_state()[1].copy()  # noqa: NPY002
+    trained = []
+    for seed, draw in ((1, 2), (1, 2), (1, 3), (4, 2)):
+        judged = judge(seed=seed)
+        judged.fit(demonstrations(), [rollout(9)], np.random.default_rng(draw))
+        trained.append(judged.state()["network.0.weight"])
+    assert np.array_equal(trained[0], trained[1])
+    assert not np.array_equal(trained[0], trained[2])
+    assert not np.array_equal(trained[0], trained[3])
+    assert torch.equal(torch.get_rng_state(), chance[0])
+    assert np.array_equal(np.random.get_state()[1], chance[1])  # noqa: NPY002
+
+
+def test_another_judges_state_is_refused():
+    larger = judge(SMALL.model_copy(update={"hidden": (9, 8)}))
+    with pytest.raises(ValueError, match=r"network\.0\.weight must have shape \(8, 7\); got \(9, 7\)"):
+        judge().load_state(larger.state())
+    with pytest.raises(KeyError, match=r"network\.0\.weight"):
+        judge().load_state({})
+
+
+def test_whitening_must_fit():
+    with pytest.raises(ValueError, match=r"whitening must have shape \(3,\); got \(2,\)"):
+        Judge(3, Whitening(np.zeros(2), np.ones(2)), SMALL, 0, HORIZON)

@@ -1,0 +1,121 @@
+import math
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from rail_sumo.highway.passing import PassCounter
+from rail_sumo.records import Scene
+
+LENGTH_M = 5.0
+
+
+def scene(heading_rad=0.0, lengths=None, **along_m):
+    """Each vehicle so many metres ahead of the host along its heading, in the lane to its left."""
+    ids = ["host", *along_m]
+    along = np.array([0.0, *along_m.values()])
+    left = np.where(np.arange(len(ids)) > 0, 3.2, 0.0)
+    return Scene(
+        time_s=0.0,
+        ids=ids,
+        x_m=700.0 + along * math.cos(heading_rad) - left * math.sin(heading_rad),
+        y_m=300.0 + along * math.sin(heading_rad) + left * math.cos(heading_rad),
+        heading_rad=np.full(len(ids), heading_rad),
+        speed_mps=np.full(len(ids), 20.0),
+        length_m=np.array([(lengths or {}).get(name, LENGTH_M) for name in ids]),
+        width_m=np.full(len(ids), 1.8),
+    )
+
+
+def count(*scenes):
+    """(overtakes, overtaken) over a sequence of looks."""
+    counter = PassCounter()
+    return tuple(np.sum([counter.update(look) for look in scenes], axis=0).tolist())
+
+
+def passes(*along_m, **changes):
+    return count(*(scene(car=metres, **changes) for metres in along_m))
+
+
+def test_from_fully_ahead_to_fully_behind_is_one_overtake():
+    assert passes(20.0, 10.0, 0.0, -10.0, -20.0) == (1, 0)
+
+
+def test_from_fully_behind_to_fully_ahead_is_being_overtaken_once():
+    assert passes(-20.0, -10.0, 0.0, 10.0, 20.0) == (0, 1)
+
+
+def test_between_two_looks_a_whole_pass_counts():
+    assert passes(8.0, -8.0) == (1, 0)
+    assert passes(-8.0, 8.0) == (0, 1)
+
+
+@pytest.mark.parametrize("heading_rad", [0.7, math.pi / 2, -2.5])
+def test_ahead_is_along_the_hosts_heading(heading_rad):
+    assert passes(20.0, 0.0, -20.0, heading_rad=heading_rad) == (1, 0)
+
+
+def test_who_stays_alongside_has_passed_nobody():
+    # Fully behind begins where the bumpers part: half of both lengths, 5 m.
+    assert passes(20.0, 0.0, -4.99) == (0, 0)
+    assert passes(20.0, 0.0, -5.01) == (1, 0)
+
+
+def test_fully_behind_depends_on_both_lengths():
+    lorry = {"car": 15.0}
+    assert passes(20.0, 0.0, -9.99, lengths=lorry) == (0, 0)
+    assert passes(20.0, 0.0, -10.01, lengths=lorry) == (1, 0)
+
+
+def test_jitter_alongside_does_not_count():
+    assert passes(20.0, 4.0, -4.0, 4.0, -4.0, 20.0) == (0, 0)
+
+
+def test_jitter_across_the_line_counts_one_way_once():
+    assert passes(20.0, -5.1, -4.9, -5.1, -4.9, -5.1) == (1, 0)
+
+
+def test_there_and_back_counts_once_each_way():
+    assert passes(20.0, 0.0, -20.0, 0.0, 20.0) == (1, 1)
+
+
+def test_two_pass_in_opposite_directions_at_once():
+    looks = [scene(slow=10.0, fast=-10.0), scene(slow=0.0, fast=0.0), scene(slow=-10.0, fast=10.0)]
+    assert count(*looks) == (1, 1)
+
+
+def test_who_appears_behind_or_vanishes_ahead_has_passed_nobody():
+    assert count(scene(gone=30.0), scene(new=-30.0), scene(), scene(newer=30.0)) == (0, 0)
+
+
+def test_who_vanishes_and_comes_back_on_the_other_side_has_passed_nobody():
+    assert count(scene(car=30.0), scene(), scene(car=-30.0)) == (0, 0)
+
+
+def test_who_appears_alongside_has_been_on_neither_side():
+    assert count(scene(), scene(car=0.0), scene(car=-20.0)) == (0, 0)
+    assert count(scene(), scene(car=0.0), scene(car=20.0)) == (0, 0)
+
+
+def test_far_away_nobody_is_sorted():
+    # Rounding a bend, someone ahead on the road can lie behind the host's back.
+    assert passes(70.0, -70.0, 70.0) == (0, 0)
+
+
+@given(st.lists(st.floats(-50, 50), min_size=1, max_size=30))
+def test_passes_alternate_so_overtakes_and_overtaken_differ_by_at_most_one(along_m):
+    overtakes, overtaken = passes(*along_m)
+    assert abs(overtakes - overtaken) <= 1
+
+
+@given(st.lists(st.floats(-50, 50), min_size=1, max_size=30))
+def test_seen_from_behind_every_overtake_is_being_overtaken(along_m):
+    assert passes(*(-metres for metres in along_m)) == passes(*along_m)[::-1]
+
+
+@given(st.lists(st.floats(-50, 50), min_size=1, max_size=30))
+def test_vehicles_are_counted_one_by_one(along_m):
+    alone = np.array(passes(*along_m))
+    together = count(*(scene(one=metres, other=-metres) for metres in along_m))
+    assert together == tuple((alone + alone[::-1]).tolist())
