@@ -10,6 +10,8 @@ from rail_sumo.errors import InputError, did_you_mean
 
 NETWORK_SUFFIX = ".net.xml"
 ROUTES_SUFFIX = ".rou.xml"
+MANIFEST = "manifest.json"
+"""Names an expert's files with their SHA-256, and tells how it was made."""
 
 _PACKAGE = Path(__file__).parent
 
@@ -33,14 +35,14 @@ def network_names() -> tuple[str, ...]:
     return _names("networks", NETWORK_SUFFIX)
 
 
-def expert(filename: str) -> Path:
-    """Return a file of the shipped expert after comparing its SHA-256 with `expert/manifest.json`.
+def expert(filename: str, folder: Path | None = None) -> Path:
+    """Return a file of an expert, the shipped one unless told, after comparing its SHA-256 with `manifest.json`.
 
     Raises:
         InputError: not in the manifest, missing, or changed since the manifest was written.
     """
-    folder = data_root() / "expert"
-    files = _manifest(folder / "manifest.json")
+    folder = folder or data_root() / "expert"
+    files = _manifest(folder / MANIFEST)
     if filename not in files:
         raise InputError(f"expert file '{filename}' not found{did_you_mean(filename, files)}")
     path = _readable("expert", folder / filename)

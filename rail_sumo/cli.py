@@ -122,14 +122,18 @@ def train_expert(
     overrides: Overrides = None,
     out: Annotated[Path | None, typer.Option(help="Folder for the expert.", show_default="runs/expert-seedS")] = None,
     seed: Seed = 0,
+    workers: Workers = "",
 ) -> None:
-    """Train an expert by PPO with invalid actions masked."""
-    from rail_sumo import run
+    """Train an expert by PPO with invalid actions masked, evaluate it, and record its demonstrations."""
+    from rail_sumo import expert
 
     out = out or Path("runs", f"expert-seed{seed}")
+    n_workers = _workers(workers)
     with _bars() as observer:
-        run.train_expert(config.load(config_file, overrides or ()), out, seed=seed, observer=observer)
-    print(f"expert in {out}")
+        tables = expert.train(
+            config.load(config_file, overrides or ()), out, seed=seed, workers=n_workers, observer=observer
+        )
+    _show(tables, out)
 
 
 @expert.command()

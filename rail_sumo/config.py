@@ -99,6 +99,8 @@ class Adas(_Section):
 
     @model_validator(mode="after")
     def _ordered(self) -> "Adas":
+        if self.min_speed_kmh >= self.max_speed_kmh:
+            raise ValueError(f"min_speed_kmh {self.min_speed_kmh} must be below max_speed_kmh {self.max_speed_kmh}")
         if not self.min_speed_kmh <= self.start_speed_kmh <= self.max_speed_kmh:
             raise ValueError(
                 f"start_speed_kmh {self.start_speed_kmh} must lie between min_speed_kmh {self.min_speed_kmh} "

@@ -2,6 +2,7 @@
 
 import math
 from collections.abc import Sequence
+from pathlib import Path
 from typing import Protocol
 
 import numpy as np
@@ -81,14 +82,14 @@ class Expert:
     """
 
     def __init__(self, layers: Sequence[tuple[Floats, Floats]]) -> None:
-        self._layers = layers
+        self.layers = layers
 
     def decide(self, observation: Floats, env: HighwayEnv) -> int:
         """Return the allowed action with the largest output."""
         hidden = observation
-        for weights, biases in self._layers[:-1]:
+        for weights, biases in self.layers[:-1]:
             hidden = np.tanh(weights @ hidden + biases)
-        weights, biases = self._layers[-1]
+        weights, biases = self.layers[-1]
         return int(np.where(env.action_masks(), weights @ hidden + biases, -np.inf).argmax())
 
 
@@ -126,9 +127,13 @@ def by_name(name: str, config: Config, seed: int) -> Driver:
             raise InputError(f"driver '{name}' not found{did_you_mean(name, NAMES)}")
 
 
-def load_expert(config: Config) -> Expert:
-    """Return the shipped expert; InputError if it senses something else than the configuration says."""
-    weights = load_file(assets.expert("policy.safetensors"))
+def load_expert(config: Config, folder: Path | None = None) -> Expert:
+    """Return the shipped expert, or the one in `folder` that `rail-sumo expert train` wrote.
+
+    Raises:
+        InputError: it is missing or damaged, or senses something else than the configuration says.
+    """
+    weights = load_file(assets.expert("policy.safetensors", folder))
     features = len(feature_names(config.lidar, config.observation))
     layers = [(weights[f"{index}.weight"], weights[f"{index}.bias"]) for index in range(len(weights) // 2)]
     trained_on = layers[0][0].shape[1]

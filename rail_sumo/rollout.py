@@ -42,7 +42,7 @@ class LearnedDriver:
 class Task:
     """One episode to drive: by whom, in which world, on which traffic."""
 
-    driver: str | LearnedDriver
+    driver: str | LearnedDriver | drivers.Expert
     config: Config
     seed: int
 
@@ -63,7 +63,9 @@ def drive(task: Task) -> Trajectory:
 def _driver(task: Task) -> drivers.Driver:
     if isinstance(task.driver, str):
         return drivers.by_name(task.driver, task.config, task.seed)
-    return drivers.Learned(task.driver.policy())
+    if isinstance(task.driver, LearnedDriver):
+        return drivers.Learned(task.driver.policy())
+    return task.driver
 
 
 class Workers(Protocol):
@@ -105,7 +107,11 @@ def workers(number: int | Literal["ray"]) -> Iterator[Workers]:
         pool = Pool()
     else:
         ignore = (signal.SIGINT, signal.SIG_IGN)
-        pool = multiprocessing.get_context("spawn").Pool(number, initializer=signal.signal, initargs=ignore)
+        before = signal.signal(*ignore)  # the workers inherit it, so none is interrupted while it starts
+        try:
+            pool = multiprocessing.get_context("spawn").Pool(number, initializer=signal.signal, initargs=ignore)
+        finally:
+            signal.signal(signal.SIGINT, before)
     try:
         yield _Pool(pool)
         pool.close()

@@ -12,7 +12,6 @@ from typing import TYPE_CHECKING, Literal, Protocol
 
 import numpy as np
 import pandas as pd
-from safetensors.numpy import save_file
 
 from rail_sumo import assets, config, drivers, metrics, report, rollout
 from rail_sumo.config import Config, dumps
@@ -23,13 +22,13 @@ from rail_sumo.imitation.demonstrations import Demonstrations
 from rail_sumo.policy import Shape, Whitening
 from rail_sumo.records import KMH, Floats, Trajectory
 from rail_sumo.rollout import DEMONSTRATION, EVALUATION, TRAINING, LearnedDriver, Task, traffic_seed
-from rail_sumo.run_directory import CONFIG, POLICY, Checkpoint, Row, RunDirectory, require_new
+from rail_sumo.run_directory import CONFIG, Checkpoint, Row, RunDirectory, require_new
 
 if TYPE_CHECKING:  # torch takes seconds to import, and only training needs it
     from rail_sumo.imitation.discriminator import Judge
     from rail_sumo.imitation.rail import RailState
 
-Driver = str | LearnedDriver
+Driver = str | LearnedDriver | drivers.Expert
 WorkerCount = int | Literal["ray"]
 Tables = tuple[pd.DataFrame, pd.DataFrame]
 """The `episodes` table and its `summary`."""
@@ -62,17 +61,24 @@ def world(policies: Iterable[str], overrides: Iterable[str] = ()) -> Config:
     Raises:
         InputError: a policy is neither, or what `config.load` raises.
     """
-    runs = [_run(policy) for policy in policies if policy not in drivers.NAMES]
-    return config.load(runs[0].path / CONFIG if runs else None, overrides)
+    folders = [Path(policy) for policy in policies if policy not in drivers.NAMES]
+    for folder in folders:
+        _require_folder(folder)
+    return config.load(folders[0] / CONFIG if folders else None, overrides)
 
 
 def find_driver(policy: str, world: Config) -> Driver:
-    """Return who drives under the name: a driver of ours, or what a run directory learned.
+    """Return who drives under the name: a driver of ours, an expert's folder, or what a run directory learned.
 
     Raises:
         InputError: it is neither, damaged, or learned on another observation than the world's.
     """
-    return policy if policy in drivers.NAMES else _run(policy).policy(world)
+    if policy in drivers.NAMES:
+        return policy
+    if (Path(policy) / assets.MANIFEST).is_file():
+        return drivers.load_expert(world, Path(policy))
+    _require_folder(Path(policy))
+    return RunDirectory(Path(policy)).policy(world)
 
 
 def evaluate(
@@ -109,6 +115,20 @@ def evaluate(
     return table, report.summary(table)
 
 
+def record(
+    driver: Driver,
+    world: Config,
+    *,
+    episodes: int,
+    seed: int,
+    workers: WorkerCount = 1,
+    observer: Observer = SILENT,
+) -> Demonstrations:
+    """Return what a driver sees and decides in traffic of its own, which no evaluation or training meets."""
+    tasks = [Task(driver, world, traffic_seed(seed, DEMONSTRATION, episode)) for episode in range(episodes)]
+    return Demonstrations.from_trajectories(list(_drive("record", tasks, workers, observer)))
+
+
 def demonstrate(
     driver: str,
     world: Config,
@@ -120,7 +140,7 @@ def demonstrate(
     overwrite: bool = False,
     observer: Observer = SILENT,
 ) -> Demonstrations:
-    """Record what a driver, by name or run directory, sees and decides in traffic of its own; see `evaluate`.
+    """Record a driver, by name, expert's folder or run directory, into a file; see `record` and `evaluate`.
 
     Raises:
         InputError: the file `out` exists and is not to be overwritten, or cannot be written; bad input of any kind.
@@ -130,8 +150,7 @@ def demonstrate(
     report.check_writable(out.parent)
     require_drivable(world, episodes)
     who = find_driver(driver, world)
-    tasks = [Task(who, world, traffic_seed(seed, DEMONSTRATION, episode)) for episode in range(episodes)]
-    demonstrations = Demonstrations.from_trajectories(list(_drive("record", tasks, workers, observer)))
+    demonstrations = record(who, world, episodes=episodes, seed=seed, workers=workers, observer=observer)
     out.parent.mkdir(parents=True, exist_ok=True)
     about = {"driver": driver, "seed": str(seed), "config": dumps(world)}
     demonstrations.save(out, features=feature_names(world.lidar, world.observation), about=about)
@@ -177,29 +196,6 @@ def train(
     return tables
 
 
-def train_expert(config: Config, out: Path, *, seed: int, observer: Observer = SILENT) -> None:
-    """Train an expert by masked PPO into the new folder `out`: its weights, and the configuration as its recipe.
-
-    Raises:
-        InputError: `out` exists or cannot be written, or the network or the demand cannot be driven.
-    """
-    from rail_sumo.imitation import ppo
-
-    report.check(out)
-    require_drivable(config)
-    observer.start("expert", config.expert.decisions)
-    layers = ppo.train(config, seed, lambda _: observer.advance({}))
-    tensors: dict[str, Floats] = {}
-    for index, (weights, biases) in enumerate(layers):
-        tensors |= {f"{index}.weight": weights, f"{index}.bias": biases}
-    try:
-        out.mkdir(parents=True)
-        save_file(tensors, out / POLICY)
-        (out / CONFIG).write_text(dumps(config), encoding="utf-8")
-    except OSError as error:
-        raise InputError(f"cannot write the expert to '{out}': {error.strerror or error}") from None
-
-
 def require_drivable(world: Config, episodes: int = 1) -> None:
     """Raise InputError for what can be known to be wrong before anybody drives."""
     if episodes < 1:
@@ -208,12 +204,13 @@ def require_drivable(world: Config, episodes: int = 1) -> None:
     road.check_demand(world.traffic.routes)
 
 
-def _run(policy: str) -> RunDirectory:
-    if not Path(policy).exists():
+def _require_folder(policy: Path) -> None:
+    if not policy.exists():
         raise InputError(
-            f"policy '{policy}' is neither a run directory nor a driver{did_you_mean(policy, drivers.NAMES)}"
+            f"policy '{policy}' is neither a run directory nor a driver{did_you_mean(str(policy), drivers.NAMES)}"
         )
-    return RunDirectory(Path(policy))
+    if not (policy / assets.MANIFEST).is_file():
+        RunDirectory(policy)
 
 
 def _drive(work: str, tasks: list[Task], workers: WorkerCount, observer: Observer) -> Iterator[Trajectory]:

@@ -220,11 +220,12 @@ def test_a_change_into_a_free_lane_is_allowed_whatever_the_other_lanes_hold(adas
 @pytest.mark.parametrize(
     ("which", "speed_mps", "least_m"),
     [
-        # Standstill gap 2 m, half a second of reaction, and the difference of the stopping distances.
-        ("ahead", 20.0, 2 + 10),
-        ("ahead", 30.0, 2 + 10),
-        ("ahead", 10.0, 2 + 10 + (20**2 - 10**2) / (2 * 9)),
-        ("ahead", 0.0, 2 + 10 + 20**2 / (2 * 9)),
+        # Standstill gap 2 m, the host's time gap of 1 s or half a second for the one behind, and the difference of the
+        # stopping distances.
+        ("ahead", 20.0, 2 + 20),
+        ("ahead", 30.0, 2 + 20),
+        ("ahead", 10.0, 2 + 20 + (20**2 - 10**2) / (2 * 9)),
+        ("ahead", 0.0, 2 + 20 + 20**2 / (2 * 9)),
         ("behind", 20.0, 2 + 10),
         ("behind", 10.0, 2 + 5),  # a slower one needs less time, never less than nothing
         ("behind", 25.0, 2 + 12.5 + (25**2 - 20**2) / (2 * 4.5)),
@@ -239,9 +240,9 @@ def test_the_gate_opens_at_gipps_distance_and_not_a_hair_before(which, speed_mps
     assert not allows(least_m - 1e-6)
 
 
-def test_the_gate_counts_with_the_hosts_own_braking_and_standstill_gap():
-    gap = dataclasses.replace(FREE, ahead_m=5 + 10 + 20**2 / (2 * 4) + 1e-6)
-    weak = config.Adas(emergency_braking_mps2=4.0, standstill_gap_m=5.0)
+def test_the_gate_counts_with_the_hosts_own_braking_time_gap_and_standstill_gap():
+    gap = dataclasses.replace(FREE, ahead_m=5 + 1.5 * 20 + 20**2 / (2 * 4) + 1e-6)
+    weak = config.Adas(emergency_braking_mps2=4.0, time_gap_s=1.5, standstill_gap_m=5.0)
     assert Adas(weak).allowed(MIDDLE, lambda side: gap)[LEFT]
     assert not Adas(weak).allowed(MIDDLE, lambda side: dataclasses.replace(gap, ahead_m=gap.ahead_m - 2e-6))[LEFT]
 
@@ -353,9 +354,9 @@ def test_during_a_change_only_holding_or_turning_back_is_allowed(road):
 
 gap = st.builds(
     Gaps,
-    ahead_m=st.sampled_from([-2.0, 10.0, 12.5, 30.0, math.inf]),
+    ahead_m=st.sampled_from([-2.0, 10.0, 12.5, 22.5, 35.0, math.inf]),
     ahead_speed_mps=st.sampled_from([0.0, 15.0, 25.0]),
-    behind_m=st.sampled_from([-2.0, 10.0, 12.5, 30.0, math.inf]),
+    behind_m=st.sampled_from([-2.0, 10.0, 12.5, 22.5, 35.0, math.inf]),
     behind_speed_mps=st.sampled_from([0.0, 15.0, 25.0]),
 )
 turns = st.lists(

@@ -1,6 +1,7 @@
 """The Gymnasium environment that closes the circle; it has no logic of its own."""
 
 import math
+import sys
 from typing import Any
 
 import gymnasium
@@ -52,6 +53,8 @@ class HighwayEnv(gymnasium.Env[Floats, np.int64]):
         self.observation_space = spaces.Box(-math.inf, math.inf, (self._layout.n_features,), np.float64)
         self.action_space = spaces.Discrete(len(MetaAction))
         self._period_steps = round(self.config.episode.decision_period_s / SECONDS_PER_STEP)
+        duration_steps = self.config.episode.duration_s / SECONDS_PER_STEP
+        self._duration_steps = sys.maxsize if math.isinf(duration_steps) else math.ceil(duration_steps - 1e-6)
         self._simulation: Simulation | None = None
 
     def reset(self, *, seed: int | None = None, options: dict[str, Any] | None = None) -> tuple[Floats, dict[str, Any]]:
@@ -124,6 +127,7 @@ class HighwayEnv(gymnasium.Env[Floats, np.int64]):
         simulation, adas = self._simulation, self._adas
         if simulation is None or self._end is not None:
             raise RuntimeError("the episode is over; call reset()")
+        due = min(self._period_steps, self._duration_steps - len(self._lane_changing))
         self._observations.append(self._observation)
         self._actions.append(action)
         host = simulation.host()
@@ -131,12 +135,12 @@ class HighwayEnv(gymnasium.Env[Floats, np.int64]):
         driven = 0
         while True:
             was_changing = adas.changing_lane
-            command = adas.command(host, simulation.gaps, steps=self._period_steps - driven)
+            command = adas.command(host, simulation.gaps, steps=due - driven)
             steps = simulation.run(command)
             driven += steps
             self._lane_changing += [was_changing] * steps
             ended_change = was_changing and not adas.changing_lane
-            if driven >= self._period_steps or ended_change or simulation.contact:
+            if driven >= due or ended_change or simulation.contact:
                 break
             host = simulation.host()
         return self._look(driven), driven
@@ -180,7 +184,7 @@ class HighwayEnv(gymnasium.Env[Floats, np.int64]):
         travelled_m = self._simulation.travelled_m(HOST)
         if travelled_m >= self._end_m:
             return "course"
-        if len(self._lane_changing) * SECONDS_PER_STEP >= self.config.episode.duration_s:
+        if len(self._lane_changing) >= self._duration_steps:
             return "duration"
         return "end of road" if travelled_m >= self._road_end_m else None
 
@@ -207,7 +211,8 @@ class HighwayEnv(gymnasium.Env[Floats, np.int64]):
     def surroundings(self) -> tuple[HostState, Gaps, Gaps, Gaps]:
         """Return the host's state and the true gaps in its own lane, to its left and to its right."""
         assert self._simulation is not None
-        return self._simulation.host(), *(self._simulation.gaps(side) for side in (0, 1, -1))
+        gaps = self._simulation.gaps
+        return self._simulation.host(), gaps(0), gaps(1), gaps(-1)
 
     def trajectory(self) -> Trajectory:
         """Return the episode so far."""
@@ -237,4 +242,4 @@ class HighwayEnv(gymnasium.Env[Floats, np.int64]):
             self._simulation = None
 
 
-gymnasium.register("RailSumo/Highway-v0", entry_point=HighwayEnv)
+gymnasium.register("RailSumo/Highway-v0", entry_point="rail_sumo.highway.env:HighwayEnv")

@@ -80,7 +80,7 @@ class Lidar:
         table = np.concatenate((boxes.table(), self._edges_near(x_m, y_m)))
         if not len(table):
             return np.full(len(self._rays), self.max_range_m), np.zeros(len(self._rays))
-        # Rotation from the host's frame into each box's, then in the box's own: host at `origin`, rays along `direction`.
+        # From the host's frame into each box's own, where the host is at `origin` and the rays go along `direction`.
         turn = np.exp((heading_rad - table[:, 2]) * 1j)
         centre = (table[:, :2] - (x_m, y_m)).view(np.complex128) * cmath.exp(-1j * heading_rad)
         origin = (centre * -turn[:, None]).view(np.float64)[:, None, :]

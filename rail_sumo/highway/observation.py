@@ -32,9 +32,7 @@ class Layout:
         """Forget the frames of the last episode."""
         self._frames.clear()
 
-    def observe(
-        self, distance_m: Floats, relative_speed_mps: Floats, *, speed_mps: float, lateral_m: float
-    ) -> Floats:
+    def observe(self, distance_m: Floats, relative_speed_mps: Floats, *, speed_mps: float, lateral_m: float) -> Floats:
         """Return the observation after one more scan.
 
         Args:

@@ -27,7 +27,9 @@ class PassCounter:
         east, north = scene.x_m - scene.x_m[0], scene.y_m - scene.y_m[0]
         along = east * math.cos(scene.heading_rad[0]) + north * math.sin(scene.heading_rad[0])
         near = np.flatnonzero(east * east + north * north < NEAR_M * NEAR_M)[1:]  # without the host itself
-        ahead, behind, alongside = set(), set(), set()
+        ahead: set[str] = set()
+        behind: set[str] = set()
+        alongside: set[str] = set()
         for index, distance in zip(near.tolist(), along[near].tolist(), strict=True):
             clear = 0.5 * (scene.length_m[index] + scene.length_m[0])
             side = ahead if distance > clear else behind if distance < -clear else alongside

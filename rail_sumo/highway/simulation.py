@@ -87,7 +87,8 @@ class Simulation:
                 *(("--route-files", ",".join(map(str, routes))) if routes else ()),
                 *("--step-length", str(SECONDS_PER_STEP), "--seed", str(seed)),
                 *("--collision.action", "warn", "--collision.mingap-factor", "0", "--time-to-teleport", "-1"),
-                *(() if routes else ("--max-depart-delay", "0")),  # a vehicle of the window enters at once or not at all
+                # A vehicle of the window enters at once or not at all.
+                *(() if routes else ("--max-depart-delay", "0")),
                 *("--no-step-log", "true", "--no-warnings", "true", "--xml-validation", "never"),
                 *outputs,
             ]
@@ -135,28 +136,25 @@ class Simulation:
 
         SUMO leaves it out where it would not be safe; look for it in the next scene.
         """
-        libsumo.vehicle.add(
-            name, self._route(edges), TRAFFIC_TYPE, departLane=str(lane), departPos=f"{front_m:.2f}", departSpeed="desired"
-        )
+        self._add(name, TRAFFIC_TYPE, edges, lane, front_m, "desired")
         libsumo.vehicle.setSpeedFactor(name, desired_speed_mps / libsumo.lane.getMaxSpeed(f"{edges[0]}_{lane}"))
         libsumo.vehicle.setLaneChangeMode(name, RESPECT_OTHERS_GAPS)
 
     def add_host(self, edges: Sequence[str], *, lane: int, front_m: float, speed_mps: float) -> None:
         """Insert the host; it stands in the first scene after the next step unless there is no room for it."""
-        libsumo.vehicle.add(
-            HOST, self._route(edges), HOST_TYPE, departLane=str(lane), departPos=f"{front_m:.2f}", departSpeed=f"{speed_mps:.3f}"
-        )
+        self._add(HOST, HOST_TYPE, edges, lane, front_m, f"{speed_mps:.3f}")
         libsumo.vehicle.setSpeedFactor(HOST, 10.0)  # the supervisor's limits hold, not the road's
         libsumo.vehicle.setLaneChangeMode(HOST, COMMANDED_ONLY)
         libsumo.vehicle.setSpeed(HOST, speed_mps)
 
-    def _route(self, edges: Sequence[str]) -> str:
-        """Return the name of the route over these edges, made known to SUMO once."""
-        key = tuple(edges)
-        if key not in self._routes:
-            self._routes[key] = f"route{len(self._routes)}"
-            libsumo.route.add(self._routes[key], list(key))
-        return self._routes[key]
+    def _add(self, name: str, kind: str, edges: Sequence[str], lane: int, front_m: float, speed: str) -> None:
+        route = tuple(edges)
+        if route not in self._routes:
+            self._routes[route] = f"route{len(self._routes)}"
+            libsumo.route.add(self._routes[route], list(route))
+        libsumo.vehicle.add(
+            name, self._routes[route], kind, departLane=str(lane), departPos=f"{front_m:.2f}", departSpeed=speed
+        )
 
     def remove_vehicle(self, name: str) -> None:
         """Take a vehicle off the road."""

@@ -108,7 +108,7 @@ class MovingWindow:
         return -self._config.behind_m < ahead_m < self._config.ahead_m
 
     def _replace(self, host_m: float) -> None:
-        """Bring in one vehicle just inside an edge of the window; where there is no room, the next update tries again."""
+        """Bring in one vehicle just inside an edge of the window; without room there, the next update tries again."""
         desired_mps = self._draw_speed_mps()
         slower = desired_mps < self._simulation.speeds_mps[-1]
         ahead_m = self._config.ahead_m - 1.0 if slower else 1.0 - self._config.behind_m

@@ -12,6 +12,8 @@ from stable_baselines3.common.callbacks import BaseCallback
 
 from rail_sumo.config import Config
 from rail_sumo.highway.env import HighwayEnv
+from rail_sumo.highway.observation import feature_names
+from rail_sumo.imitation.perceptron import single_threaded
 from rail_sumo.records import Floats
 
 REWARD_SCALE = 0.1
@@ -63,6 +65,7 @@ def scale_of(config: Config, n_features: int) -> Floats:
     return np.tile(one, config.observation.frames)
 
 
+@single_threaded()
 def train(config: Config, seed: int, observer: Callable[[int], None] = lambda _: None) -> Layers:
     """Train the expert and return its network, whose inputs are plain observations.
 
@@ -77,7 +80,7 @@ def train(config: Config, seed: int, observer: Callable[[int], None] = lambda _:
     expert = config.expert
     episode = config.episode.model_copy(update={"course_m": float("inf"), "duration_s": expert.horizon_s})
     world = config.model_copy(update={"episode": episode})
-    scale = scale_of(config, HighwayEnv(config).observation_space.shape[0])
+    scale = scale_of(config, len(feature_names(config.lidar, config.observation)))
     env = ScaledHighway(world, scale, seed)
     try:
         model = MaskablePPO(
@@ -101,8 +104,8 @@ def train(config: Config, seed: int, observer: Callable[[int], None] = lambda _:
 
 def _layers(model: MaskablePPO, scale: Floats) -> Layers:
     """Read the policy's network out, the observation's scale folded into its first layer."""
-    linear = [m for m in model.policy.mlp_extractor.policy_net if isinstance(m, torch.nn.Linear)]
-    linear.append(model.policy.action_net)
+    modules = [*model.policy.mlp_extractor.policy_net, model.policy.action_net]
+    linear = [module for module in modules if isinstance(module, torch.nn.Linear)]
     layers = [(m.weight.detach().double().numpy().copy(), m.bias.detach().double().numpy().copy()) for m in linear]
     layers[0] = (layers[0][0] / scale, layers[0][1])
     return layers

@@ -1,0 +1,92 @@
+"""An expert's folder: train one, evaluate it, record its demonstrations, and say how all of it was made."""
+
+import json
+import math
+import tempfile
+from importlib.metadata import version
+from pathlib import Path
+
+from safetensors.numpy import save_file
+
+from rail_sumo import report, run
+from rail_sumo.assets import MANIFEST, sha256
+from rail_sumo.config import Config, dumps
+from rail_sumo.drivers import Expert
+from rail_sumo.errors import InputError
+from rail_sumo.highway.observation import feature_names
+from rail_sumo.records import Floats
+
+POLICY = "policy.safetensors"
+RECIPE = "config.toml"
+DEMONSTRATIONS = "demonstrations.parquet"
+
+
+def train(
+    config: Config,
+    out: Path,
+    *,
+    seed: int,
+    workers: run.WorkerCount = 1,
+    observer: run.Observer = run.SILENT,
+) -> run.Tables:
+    """Train an expert by masked PPO into the new folder `out` and return its evaluation on held-out traffic.
+
+    The folder, which appears once it is whole, holds the weights, the recipe (`config.toml`), the demonstrations that
+    training takes by default, the evaluation's tables, and the manifest: every file's SHA-256, the seed, the versions
+    of SUMO and of rail-sumo, the evaluation's means. The weights depend on configuration and seed alone.
+
+    Raises:
+        InputError: `out` exists or cannot be written, or the network or the demand cannot be driven.
+    """
+    from rail_sumo.imitation import ppo
+
+    report.check(out)
+    run.require_drivable(config, config.train.evaluation_episodes)
+    observer.start("practise", config.expert.decisions)
+    layers = ppo.train(config, seed, lambda _: observer.advance({}))
+    expert = Expert(layers)
+    tables = run.evaluate(
+        {report.EXPERT: expert},
+        config,
+        episodes=config.train.evaluation_episodes,
+        seed=seed,
+        workers=workers,
+        observer=observer,
+    )
+    demonstrations = run.record(
+        expert, config, episodes=config.train.trajectories, seed=seed, workers=workers, observer=observer
+    )
+    about = {"driver": "expert", "seed": seed, "config": dumps(config)}
+    try:
+        out.parent.mkdir(parents=True, exist_ok=True)
+        with tempfile.TemporaryDirectory(dir=out.parent, prefix=f".{out.name}.") as scratch:
+            whole = Path(scratch, out.name)
+            report.write(*tables, whole)
+            save_file(_tensors(expert), whole / POLICY)
+            (whole / RECIPE).write_text(dumps(config), encoding="utf-8")
+            features = feature_names(config.lidar, config.observation)
+            demonstrations.save(whole / DEMONSTRATIONS, features=features, about=about)
+            (whole / MANIFEST).write_text(_manifest(whole, tables, seed), encoding="utf-8")
+            whole.rename(out)
+    except OSError as error:
+        raise InputError(f"cannot write the expert to '{out}': {error.strerror or error}") from None
+    return tables
+
+
+def _tensors(expert: Expert) -> dict[str, Floats]:
+    tensors: dict[str, Floats] = {}
+    for index, (weights, biases) in enumerate(expert.layers):
+        tensors |= {f"{index}.weight": weights, f"{index}.bias": biases}
+    return tensors
+
+
+def _manifest(folder: Path, tables: run.Tables, seed: int) -> str:
+    means = tables[1].set_index("metric")["mean"]
+    manifest = {
+        "files": {path.name: sha256(path) for path in sorted(folder.iterdir())},
+        "seed": seed,
+        "libsumo": version("libsumo"),
+        "rail-sumo": version("rail-sumo"),
+        "evaluation": {metric: round(mean, 3) for metric, mean in means.items() if math.isfinite(mean)},
+    }
+    return json.dumps(manifest, indent=2) + "\n"
