@@ -52,7 +52,7 @@ class Traffic(_Section):
     vehicles: Annotated[int, Field(ge=0, le=500)] = 20
     ahead_m: Annotated[float, Field(ge=50.0, le=2000.0)] = 250.0
     behind_m: Annotated[float, Field(ge=50.0, le=2000.0)] = 150.0
-    speed_low_kmh: Positive = 40.0
+    speed_low_kmh: Positive = 55.0
     speed_high_kmh: Positive = 70.0
     lane_change_every_s: Limit = 30.0
     """Mean time between one vehicle's tries to change lanes; inf for none."""
@@ -173,7 +173,7 @@ class Expert(_Section):
     hidden: tuple[Count, ...] = (128, 128)
     learning_rate: Positive = 4e-4
     """Falls to 0 over the training."""
-    discount: Annotated[float, Field(gt=0.0, lt=1.0)] = 0.98
+    discount: Annotated[float, Field(gt=0.0, lt=1.0)] = 0.995
     decisions_per_update: Count = 2048
     batch_size: Count = 64
     epochs: Count = 10

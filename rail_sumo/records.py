@@ -55,6 +55,8 @@ class HostState:
     to_edge_end_m: float
     """Metres to the end of the edge; no lane can be crossed beyond it. 0 on a junction."""
     lane_width_m: float
+    ending_lanes: tuple[int, ...] = ()
+    """Lanes of this edge that do not lead on along the course."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -80,7 +82,7 @@ class Command:
     steps: int = 1
 
 
-EndReason = Literal["course", "duration", "collision", "end of road"]
+EndReason = Literal["course", "duration", "collision", "end of road", "standstill"]
 
 
 @dataclass(frozen=True, slots=True)

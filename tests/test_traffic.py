@@ -73,16 +73,18 @@ def window():
 
 
 def test_the_window_begins_with_vehicles_all_over_it_clear_of_one_another_and_of_the_host(window):
-    places, lanes = [], Counter()
+    places, lanes, numbers = [], Counter(), []
     for seed in range(10):
         begun = window(seed)
         ahead, lane = {HOST: 0.0, **begun.ahead_m()}, {HOST: 2, **begun.lanes()}
-        assert 15 <= len(ahead) - 1 <= 20  # SUMO refuses a few that would have to brake
+        numbers.append(len(ahead) - 1)
         for one, other in combinations(ahead, 2):
             if lane[one] == lane[other]:
                 assert abs(ahead[one] - ahead[other]) > START_GAP_M - 2.0  # the first step's travel
         places += [ahead[name] for name in begun.others()]
         lanes.update(lane[name] for name in begun.others())
+    assert np.mean(numbers) > 17  # SUMO refuses a few that would have to brake
+    assert max(numbers) == 20
     assert -152.0 < min(places) < -100.0
     assert 200.0 < max(places) < 252.0
     assert set(lanes) == {0, 1, 2, 3, 4}

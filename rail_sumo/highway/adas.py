@@ -19,6 +19,8 @@ FOLLOWER_TIME_GAP_S = 0.5
 FOLLOWER_BRAKING_MPS2 = 4.5
 """Braking that the gate may ask of the vehicle behind: SUMO's default comfortable deceleration."""
 
+LEAVE_LANE_M = 300.0
+"""How far before its end the host leaves a lane that does not lead on along its course."""
 SUMO_DECIDES = -1.0
 """As a commanded speed: SUMO's own driver picks it."""
 
@@ -69,7 +71,10 @@ class Adas:
         return [True, False, False, back and self._side == RIGHT, back and self._side == LEFT]
 
     def decide(self, action: MetaAction, host: HostState, gaps: Callable[[int], Gaps]) -> None:
-        """Take one decision of the supervisor; one that cannot be carried out safely is refused and counted."""
+        """Take one decision of the supervisor; one that cannot be carried out safely is refused and counted.
+
+        Near the end of a lane that does not lead on, the layer leaves it of its own accord as soon as it can.
+        """
         step = self._config.speed_step_kmh / KMH
         if action is MetaAction.ACCELERATE:
             self._set_speed = self._clip(host.speed_mps + step)
@@ -77,6 +82,9 @@ class Adas:
             self._set_speed = self._clip(host.speed_mps - step)
         elif action is not MetaAction.KEEP:
             self._steer(LEFT if action is MetaAction.LEFT else RIGHT, host, gaps)
+        way_on = _way_on(host)
+        if way_on is not None and self._side is None and self._open(way_on, host, gaps):
+            self._begin(way_on, host)
 
     def command(self, host: HostState, gaps: Callable[[int], Gaps], *, steps: int) -> Command:
         """Return what to do next, for at most `steps` steps: as many as need no fresh look."""
@@ -91,8 +99,7 @@ class Adas:
     def _steer(self, side: Side, host: HostState, gaps: Callable[[int], Gaps]) -> None:
         if self._side is None:
             if self._open(side, host, gaps):
-                self._side, self._width, self._moved = side, host.lane_width_m, 0.0
-                self._crossed = self._reversing = False
+                self._begin(side, host)
             else:
                 self.refused_decisions += 1
         elif (side == self._side) == self._reversing:  # the decision turns the movement round
@@ -103,12 +110,21 @@ class Adas:
             else:
                 self.refused_decisions += 1
 
+    def _begin(self, side: Side, host: HostState) -> None:
+        self._side, self._width, self._moved = side, host.lane_width_m, 0.0
+        self._crossed = self._reversing = False
+
     def _open(self, side: Side, host: HostState, gaps: Callable[[int], Gaps]) -> bool:
-        """Whether a change to this side may begin: there is a lane, road enough to cross over, and a gap."""
+        """Whether a change to this side may begin: there is a lane, road enough to cross over, and a gap.
+
+        Near the edge's end there is none into a lane that leads off the course, or farther away from it.
+        """
         seconds = host.lane_width_m / self._config.lateral_speed_mps
         if not host.rightmost_lane <= host.lane + side <= host.leftmost_lane:
             return False
         if host.to_edge_end_m < host.speed_mps * seconds:
+            return False
+        if host.to_edge_end_m < LEAVE_LANE_M and host.lane + side in host.ending_lanes and side != _way_on(host):
             return False
         return self._safe(host.speed_mps, gaps(side))
 
@@ -156,6 +172,16 @@ class Adas:
             self._crossed = False
             return -side
         return 0
+
+
+def _way_on(host: HostState) -> Side | None:
+    """Return the side of the nearest lane that leads on, if the host must leave its own for it by now."""
+    if host.lane not in host.ending_lanes or host.to_edge_end_m >= LEAVE_LANE_M:
+        return None
+    leading_on = set(range(host.rightmost_lane, host.leftmost_lane + 1)).difference(host.ending_lanes)
+    if not leading_on:
+        return None
+    return LEFT if min(leading_on, key=lambda lane: abs(lane - host.lane)) > host.lane else RIGHT
 
 
 def _stopping_gap(speed_mps: float, leader_mps: float, braking_mps2: float) -> float:

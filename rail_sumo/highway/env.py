@@ -20,8 +20,11 @@ from rail_sumo.highway.simulation import HOST, Simulation
 from rail_sumo.highway.traffic import Demand, MovingWindow, Traffic
 from rail_sumo.records import KMH, SECONDS_PER_STEP, EndReason, Floats, Gaps, HostState, MetaAction, Scene, Trajectory
 
-WINDOW_MARGIN_M = 50.0
+MARGIN_M = 50.0
 """Room between the traffic window and the road's start, and between the host and the road's end."""
+CRAWL_MPS = 0.1
+STANDSTILL_STEPS = 3000
+"""A host that has not moved for this many steps (five minutes) will not: the episode ends."""
 VEHICLE_M = 20.0
 """No vehicle reaches farther than this from its front bumper, by which SUMO places it."""
 DEMAND_START_M = 10.0
@@ -76,7 +79,7 @@ class HighwayEnv(gymnasium.Env[Floats, np.int64]):
     def _open(self, rng: np.random.Generator) -> None:
         """Put the host and its traffic on the road."""
         traffic, adas = self.config.traffic, self.config.adas
-        start_m = DEMAND_START_M if self._demand else traffic.behind_m + WINDOW_MARGIN_M
+        start_m = DEMAND_START_M if self._demand else traffic.behind_m + MARGIN_M
         place = self._road.place(start_m)
         if place is None:
             raise InputError(
@@ -92,7 +95,9 @@ class HighwayEnv(gymnasium.Env[Floats, np.int64]):
         )
         edge = self._road.edges[place[0]]
         lane = edge.first_lane + int(rng.integers(edge.n_lanes))
-        edges = self._road.laps(place[0], self.config.episode.course_m + 2 * self._road.length_m)
+        episode = self.config.episode
+        farthest_m = min(episode.course_m, episode.duration_s * adas.max_speed_kmh / KMH)
+        edges = self._road.laps(place[0], place[1] + farthest_m + MARGIN_M)
         if self._demand:
             simulation.run_without_host(traffic.warm_up_s)
         simulation.add_host(edges, lane=lane, front_m=place[1], speed_mps=adas.start_speed_kmh / KMH)
@@ -102,8 +107,7 @@ class HighwayEnv(gymnasium.Env[Floats, np.int64]):
         simulation.wait_for_host()
         if self._hands_off:
             simulation.hand_over()
-        self._end_m = self.config.episode.course_m
-        self._road_end_m = math.inf if self._road.is_loop else self._road.length_m - start_m - WINDOW_MARGIN_M
+        self._road_end_m = math.inf if self._road.is_loop else self._road.length_m - start_m - MARGIN_M
 
     def step(self, action: int | np.int64) -> tuple[Floats, float, bool, bool, dict[str, Any]]:
         """Take one decision and drive until the next falls due."""
@@ -182,10 +186,13 @@ class HighwayEnv(gymnasium.Env[Floats, np.int64]):
         if self._simulation.contact:
             return "collision"
         travelled_m = self._simulation.travelled_m(HOST)
-        if travelled_m >= self._end_m:
+        if travelled_m >= self.config.episode.course_m:
             return "course"
         if len(self._lane_changing) >= self._duration_steps:
             return "duration"
+        last = self._simulation.speeds_mps[-STANDSTILL_STEPS:]
+        if last[-1] < CRAWL_MPS and len(last) == STANDSTILL_STEPS and max(last) < CRAWL_MPS:
+            return "standstill"
         return "end of road" if travelled_m >= self._road_end_m else None
 
     @property

@@ -239,7 +239,8 @@ class Simulation:
             return HostState(speed, lane, lane, lane, 0.0, 0.0)
         rightmost, leftmost = edge.first_lane, edge.first_lane + edge.n_lanes - 1
         to_end = edge.length_m - vehicle.getLanePosition(HOST)
-        return HostState(speed, lane, rightmost, leftmost, to_end, libsumo.lane.getWidth(vehicle.getLaneID(HOST)))
+        width = libsumo.lane.getWidth(vehicle.getLaneID(HOST))
+        return HostState(speed, lane, rightmost, leftmost, to_end, width, edge.ending_lanes)
 
     def gaps(self, side: int) -> Gaps:
         """Return the gaps in the host's own lane (0) or the one to its left (+1) or right (-1)."""

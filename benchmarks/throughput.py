@@ -1,0 +1,378 @@
+"""How fast it drives, beside what else could drive: python benchmarks/throughput.py [--quick] [--run DIR].
+
+One table of simulated seconds per second: the whole loop with a two-layer policy, SUMO alone on the very same traffic,
+the same traffic over a TraCI socket, and highway-env; then two workers against one, and a worker's memory.
+`benchmarks/README.md` says what each row is.
+"""
+
+import argparse
+import importlib.util
+import itertools
+import multiprocessing
+import os
+import platform
+import re
+import shutil
+import statistics
+import subprocess
+import sys
+import time
+from collections.abc import Callable, Iterator
+from contextlib import ExitStack, contextmanager, redirect_stdout
+from dataclasses import dataclass, field
+from functools import partial
+from importlib.metadata import version
+from pathlib import Path
+from typing import Any
+from unittest import mock
+
+import libsumo
+import numpy as np
+from rich.console import Console
+from rich.table import Table
+
+from rail_sumo import cli  # noqa: F401  spawned workers import this module again: let them carry what the CLI's carry
+from rail_sumo.config import Config
+from rail_sumo.highway import road
+from rail_sumo.highway.lidar import Boxes, Lidar
+from rail_sumo.policy import Policy
+from rail_sumo.records import SECONDS_PER_STEP
+from rail_sumo.rollout import EVALUATION, LearnedDriver, Task, Workers, drive, traffic_seed, workers
+from rail_sumo.run_directory import RunDirectory
+
+INSTALL = "pip install 'rail-sumo[benchmarks]'"
+OF_BARE, OF_HIGHWAY_ENV, OF_ONE_WORKER, MEMORY_MB = 0.80, 80.0, 1.85, 200.0  # the marks we set ourselves
+
+Drive = Callable[[], float]
+"""Drives for a while and returns the simulated seconds per second of wall-clock time."""
+
+
+@dataclass(frozen=True)
+class Size:
+    """How much is driven."""
+
+    repeats: int
+    episodes: int
+    highway_env_s: int
+    traci_s: int
+    worker_episodes: int
+
+
+FULL = Size(repeats=7, episodes=4, highway_env_s=30, traci_s=30, worker_episodes=32)
+QUICK = Size(repeats=3, episodes=1, highway_env_s=8, traci_s=8, worker_episodes=16)
+
+
+# What is recorded of the loop, so that the very same traffic can be driven without it.
+
+
+@dataclass
+class Recording:
+    """Everything that was told to SUMO in one episode, steps included, and where its vehicles were at the end."""
+
+    arguments: list[str] = field(default_factory=list)
+    orders: list[tuple[str, str, tuple[Any, ...], dict[str, Any]]] = field(default_factory=list)
+    """(domain, function, positional and keyword arguments) of each."""
+    end: dict[str, tuple[float, float]] = field(default_factory=dict)
+
+    @property
+    def simulated_s(self) -> float:
+        """How much time went on."""
+        return SECONDS_PER_STEP * sum(function == "step" for _, function, _, _ in self.orders)
+
+    def begin(self, seconds: float) -> "Recording":
+        """Return its first seconds, without an end."""
+        steps = itertools.accumulate(function == "step" for _, function, _, _ in self.orders)
+        n_orders = next((i for i, n in enumerate(steps, 1) if n * SECONDS_PER_STEP >= seconds), len(self.orders))
+        return Recording(self.arguments, self.orders[:n_orders])
+
+
+def positions(api: Any) -> dict[str, tuple[float, float]]:
+    """Return where every vehicle is."""
+    return {name: api.vehicle.getPosition(name) for name in api.vehicle.getIDList()}
+
+
+def record(task: Task) -> Recording:
+    """Drive an episode and write down all that changes what SUMO does; asking and watching change nothing."""
+    recording = Recording()
+
+    def watch(domain: str, function: str) -> Any:
+        original = getattr(getattr(libsumo, domain), function)
+
+        def told(*args: Any, **kwargs: Any) -> Any:
+            recording.orders.append((domain, function, args, kwargs))
+            return original(*args, **kwargs)
+
+        return mock.patch.object(getattr(libsumo, domain), function, told)
+
+    def start(original: Callable[[list[str]], Any], arguments: list[str]) -> Any:
+        recording.arguments = [argument for argument in arguments if argument != "sumo"]
+        return original(arguments)
+
+    def close(original: Callable[[], None] = libsumo.close) -> None:
+        recording.end = positions(libsumo)
+        original()
+
+    with ExitStack() as patches:
+        for domain in ("vehicle", "vehicletype", "route", "simulation"):
+            for function in filter(changes_something, dir(getattr(libsumo, domain))):
+                patches.enter_context(watch(domain, function))
+        for name in ("start", "load"):
+            patches.enter_context(mock.patch.object(libsumo, name, partial(start, getattr(libsumo, name))))
+        patches.enter_context(mock.patch.object(libsumo, "close", close))
+        drive(task)
+    return recording
+
+
+def changes_something(function: str) -> bool:
+    """Whether a function of a libsumo domain, by its name, can change what happens."""
+    return function in ("add", "remove", "copy", "step") or re.match("set|change|slow|move", function) is not None
+
+
+def replay(recording: Recording) -> float:
+    """Step SUMO through a recording and nothing else; returns the seconds it took, without loading.
+
+    Raises:
+        RuntimeError: the vehicles did not end where they were: it was not the same traffic.
+    """
+    libsumo.start(["sumo", *recording.arguments])
+    orders = [partial(getattr(getattr(libsumo, d), f), *args, **kwargs) for d, f, args, kwargs in recording.orders]
+    started = time.perf_counter()
+    for order in orders:
+        order()
+    seconds = time.perf_counter() - started
+    end = positions(libsumo)
+    libsumo.close()
+    if recording.end and end != recording.end:
+        raise RuntimeError("the replay's vehicles did not end where the recorded ones did")
+    return seconds
+
+
+# The contenders.
+
+
+def full_loop(tasks: list[Task]) -> float:
+    """Drive whole episodes, from loading the network to closing it."""
+    started = time.perf_counter()
+    simulated_s = sum(len(drive(task).lane_changing) for task in tasks) * SECONDS_PER_STEP
+    return simulated_s / (time.perf_counter() - started)
+
+
+def bare_sumo(recordings: list[Recording]) -> float:
+    """Replay the same episodes."""
+    return sum(recording.simulated_s for recording in recordings) / sum(map(replay, recordings))
+
+
+def highway_env(seconds: int) -> float:
+    """Drive highway-env, sized alike, with IDLE as every decision; making and resetting it is not timed."""
+    import gymnasium
+    import highway_env
+
+    gymnasium.register_envs(highway_env)
+    settings = {
+        "lanes_count": 5,
+        "vehicles_count": 20,
+        "observation": {"type": "LidarObservation", "cells": 24},
+        "simulation_frequency": 10,
+        "policy_frequency": 1,
+    }
+    env = gymnasium.make("highway-fast-v0", config=settings)
+    seed, over, spent = itertools.count(), True, 0.0
+    for _ in range(seconds):
+        if over:
+            env.reset(seed=next(seed))
+        started = time.perf_counter()
+        _, _, terminated, truncated, _ = env.step(1)
+        spent += time.perf_counter() - started
+        over = terminated or truncated
+    env.close()
+    return seconds / spent
+
+
+@contextmanager
+def traci_sumo(arguments: list[str]) -> Iterator[Any]:
+    """Start a SUMO process and yield TraCI, connected to it."""
+    import traci
+
+    with open(os.devnull, "w", encoding="utf-8") as nowhere, redirect_stdout(nowhere):
+        traci.start([str(find_sumo()), *arguments], stdout=subprocess.DEVNULL)
+        try:
+            yield traci
+        finally:
+            traci.close()
+
+
+def find_sumo() -> str | None:
+    """Return the sumo program: beside this Python, or on the path."""
+    beside = Path(sys.executable).with_name("sumo")
+    return str(beside) if beside.exists() else shutil.which("sumo")
+
+
+def over_traci(recording: Recording, task: Task) -> float:
+    """Drive the same traffic over a socket, as one would write it: getters every step, scan and policy every decision.
+
+    The recorded orders stand for the deciding, so that the traffic is the same; starting SUMO is not timed.
+    """
+    assert isinstance(task.driver, LearnedDriver)
+    config, policy = task.config, task.driver.policy()
+    borders = road.load(config.network.file).boundaries
+    lidar = Lidar(config.lidar.n_rays, config.lidar.max_range_m, borders if config.lidar.road_edges else None)
+    decision_steps = round(config.episode.decision_period_s / SECONDS_PER_STEP)
+    steps = 0
+    with traci_sumo(recording.arguments) as traci:
+        started = time.perf_counter()
+        for domain, function, args, kwargs in recording.orders:
+            getattr(getattr(traci, domain), function)(*args, **kwargs)
+            if function == "step":
+                vehicles = {name: look(traci.vehicle, name) for name in traci.vehicle.getIDList()}
+                steps += 1
+                if steps % decision_steps == 0:
+                    decide(policy, lidar, vehicles)
+        return steps * SECONDS_PER_STEP / (time.perf_counter() - started)
+
+
+def look(vehicle: Any, name: str) -> tuple[float, ...]:
+    """Ask for what a box takes."""
+    (x, y), angle = vehicle.getPosition(name), vehicle.getAngle(name)
+    return x, y, np.radians(90.0 - angle), vehicle.getSpeed(name), vehicle.getLength(name), vehicle.getWidth(name)
+
+
+def decide(policy: Policy, lidar: Lidar, vehicles: dict[str, tuple[float, ...]]) -> int:
+    """Scan from the host and ask the policy."""
+    host = vehicles.pop("host", None)
+    if host is None:
+        return 0
+    x, y, heading, speed, length, width = np.array([host, *vehicles.values()]).T
+    x, y = x - 0.5 * length * np.cos(heading), y - 0.5 * length * np.sin(heading)
+    boxes = Boxes(x[1:], y[1:], heading[1:], speed[1:], length[1:], width[1:])
+    return policy(np.concatenate(lidar.scan(x[0], y[0], heading[0], speed[0], boxes)))
+
+
+# Workers.
+
+
+def with_workers(pool: Workers, tasks: list[Task]) -> float:
+    """Drive episodes with workers that are up and warm."""
+    started = time.perf_counter()
+    simulated_s = sum(len(trajectory.lane_changing) for trajectory in pool.map(drive, tasks)) * SECONDS_PER_STEP
+    return simulated_s / (time.perf_counter() - started)
+
+
+def memory_mb(pid: int) -> dict[str, float]:
+    """Return a process's memory: resident, its proportional share of it, and the most that was ever resident."""
+    text = Path(f"/proc/{pid}/smaps_rollup").read_text() + Path(f"/proc/{pid}/status").read_text()
+    names = {"RSS": "Rss", "PSS": "Pss", "peak RSS": "VmHWM"}
+    return {name: float(re.search(rf"^{key}:\s+(\d+) kB", text, re.M)[1]) / 1024 for name, key in names.items()}
+
+
+# The run.
+
+
+def policy_of(run: Path | None, config: Config) -> LearnedDriver:
+    """Return a run directory's policy; without one, a clone of the shipped demonstrations, with seed 0."""
+    if run is not None:
+        return RunDirectory(run).policy(config)
+    from rail_sumo import assets
+    from rail_sumo.highway.observation import feature_names
+    from rail_sumo.imitation import bc
+    from rail_sumo.imitation.demonstrations import Demonstrations
+    from rail_sumo.policy import Shape, Whitening
+
+    features = feature_names(config.lidar, config.observation)
+    demonstrations = Demonstrations.load(assets.expert("demonstrations.parquet"), features=features)
+    whitening, shape = Whitening.of(demonstrations.observations), Shape(len(features), config.policy.hidden)
+    return LearnedDriver(bc.clone(demonstrations, shape, whitening, config.cloning, seed=0), shape, whitening)
+
+
+@dataclass
+class Row:
+    """One contender and how fast it was, time after time."""
+
+    name: str
+    drive: Drive
+    speeds: list[float] = field(default_factory=list)
+
+    @property
+    def median(self) -> float:
+        """The middle one of its speeds."""
+        return statistics.median(self.speeds)
+
+
+def interleave(rows: list[Row], repeats: int) -> None:
+    """Let the contenders take turns, so that a slow minute of the machine strikes all of them."""
+    for _ in range(repeats):
+        for row in rows:
+            row.speeds.append(row.drive())
+
+
+def table(rows: list[Row], bare: Row, other: Row | None, marks: dict[str, str]) -> Table:
+    """Return the rows with their ratios."""
+    shown = Table(title="simulated seconds per second, one core unless the row says otherwise", title_justify="left")
+    for heading in ("", "median", "min .. max", "x bare SUMO", "x highway-env", "mark"):
+        shown.add_column(heading, justify="right" if heading else "left")
+    for row in rows:
+        spread = f"{min(row.speeds):,.0f} .. {max(row.speeds):,.0f}"
+        beside = f"{row.median / other.median:.1f}" if other else ""
+        shown.add_row(
+            row.name, f"{row.median:,.0f}", spread, f"{row.median / bare.median:.3f}", beside, marks.get(row.name, "")
+        )
+    return shown
+
+
+def main() -> None:
+    """Measure and print."""
+    parser = argparse.ArgumentParser(description=__doc__.partition("\n")[0])
+    parser.add_argument("--run", type=Path, help="a run directory whose policy drives; else a clone of the expert")
+    parser.add_argument("--quick", action="store_true", help="a short run, to see that it works")
+    arguments = parser.parse_args()
+    size = QUICK if arguments.quick else FULL
+    console = Console(width=120)
+    describe_machine(console)
+
+    config = Config()
+    driver = policy_of(arguments.run, config)
+    tasks = [Task(driver, config, traffic_seed(0, EVALUATION, episode)) for episode in range(size.worker_episodes)]
+    recordings = [record(task) for task in tasks[: size.episodes]]
+    loop = Row("full loop, two-layer policy", partial(full_loop, tasks[: size.episodes]))
+    bare = Row("bare SUMO, the same traffic", partial(bare_sumo, recordings))
+    rows, other = [loop, bare], None
+    if importlib.util.find_spec("highway_env"):
+        other = Row("highway-env, highway-fast-v0", partial(highway_env, size.highway_env_s))
+        rows.append(other)
+    else:
+        console.print(f"highway-env is not installed; to set it beside: {INSTALL}")
+    if importlib.util.find_spec("traci") and find_sumo():
+        rows.append(
+            Row("the same over TraCI with getters", partial(over_traci, recordings[0].begin(size.traci_s), tasks[0]))
+        )
+    else:
+        console.print(f"the sumo program is not installed; to set TraCI beside: {INSTALL}")
+    interleave(rows, size.repeats)
+
+    with workers(1) as serial, workers(2) as pair:
+        pids = [child.pid for child in multiprocessing.active_children()]
+        with_workers(pair, tasks[:8])
+        one = Row("one worker", partial(with_workers, serial, tasks[: len(tasks) // 2]))
+        two = Row("two workers, two cores", partial(with_workers, pair, tasks))
+        interleave([one, two], max(3, size.repeats // 2))
+        memory = [memory_mb(pid) for pid in pids if pid is not None]
+    marks = {
+        loop.name: f">= {OF_BARE:.2f}, >= {OF_HIGHWAY_ENV:.0f}",
+        two.name: f"{two.median / one.median:.2f} x one; >= {OF_ONE_WORKER}",
+    }
+    shown = table([*rows, one, two], bare, other, marks)
+    used = ", ".join(f"{name} {max(worker[name] for worker in memory):.0f}" for name in memory[0])
+    shown.caption = f"A worker's memory, MB: {used}; mark: < {MEMORY_MB:.0f}."
+    console.print(shown)
+
+
+def describe_machine(console: Console) -> None:
+    """Print what the figures hold for."""
+    packages = ", ".join(f"{name} {version(name)}" for name in ("libsumo", "numpy", "gymnasium"))
+    console.print(f"Python {platform.python_version()}, {packages}; {os.cpu_count()} cores, {platform.machine()}")
+    load, _, _ = os.getloadavg()
+    if load > 0.3:
+        console.print(f"warning: the machine is busy (load {load:.1f}); the figures are too low and unsteady")
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,656 @@
+import dataclasses
+import functools
+import math
+import signal
+import xml.etree.ElementTree as ElementTree
+from itertools import pairwise
+
+import gymnasium
+import libsumo
+import numpy as np
+import pytest
+import stable_baselines3
+from gymnasium.utils.env_checker import check_env
+
+from rail_sumo import assets
+from rail_sumo.config import validate
+from rail_sumo.errors import InputError
+from rail_sumo.highway import env as env_module
+from rail_sumo.highway.env import HighwayEnv
+from rail_sumo.highway.observation import feature_names
+from rail_sumo.highway.reward import reward
+from rail_sumo.highway.simulation import HOST, TRAFFIC_TYPE, Simulation
+from rail_sumo.records import KMH, MetaAction
+
+KEEP, ACCELERATE, DECELERATE, LEFT, RIGHT = MetaAction
+LANE_M = 3.2
+UNSEEN = 1_900_000_000
+"""Traffic seeds from here on: beyond those anybody trains or tunes on by hand."""
+
+
+def world(**sections):
+    """The default world for 60 s, with changes by section."""
+    tree = {"episode": {"course_m": math.inf, "duration_s": 60.0}, **sections}
+    if "episode" in sections:
+        tree["episode"] = {"course_m": math.inf, "duration_s": 60.0} | sections["episode"]
+    return validate(tree)
+
+
+EMPTY = {"vehicles": 0}
+
+
+@pytest.fixture
+def make():
+    """Make environments; only the last one has a simulation, and none is left open."""
+    made = []
+
+    def make(config=None, **arguments):
+        for env in made:
+            env.close()
+        made.append(HighwayEnv(config or world(), **arguments))
+        return made[-1]
+
+    yield make
+    for env in made:
+        env.close()
+
+
+class Watched(Simulation):
+    """Goes one step at a time and keeps what an onlooker sees after each."""
+
+    latest: "Watched"
+
+    def __init__(self, *arguments, **named):
+        super().__init__(*arguments, **named)
+        Watched.latest = self
+        self.scenes, self.left_m, self.ahead_m = [], [], []
+
+    def run(self, command):
+        for number in range(command.steps):
+            cross = command.cross if number == 0 else 0
+            super().run(dataclasses.replace(command, steps=1, cross=cross))
+            self.scenes.append(self.scene())
+            front_m, left_m = libsumo.vehicle.getPosition(HOST)
+            self.left_m.append(left_m)
+            others = (name for name in libsumo.vehicle.getIDList() if name != HOST)
+            self.ahead_m.append({name: libsumo.vehicle.getPosition(name)[0] - front_m for name in others})
+            if self.contact:
+                return number + 1
+        return command.steps
+
+
+@pytest.fixture
+def watched(monkeypatch):
+    """Every simulation that an environment opens is watched; `watched()` is the latest."""
+    monkeypatch.setattr(env_module, "Simulation", Watched)
+    return lambda: Watched.latest
+
+
+@pytest.fixture
+def outputs(monkeypatch, tmp_path):
+    """SUMO's own account of every episode; a function that reads the elements of one file after `close`."""
+    options = []
+    for kind in ("lanechange", "collision"):
+        options += [f"--{kind}-output", str(tmp_path / f"{kind}.xml")]
+    monkeypatch.setattr(env_module, "Simulation", functools.partial(Watched, outputs=options))
+    return lambda kind: list(ElementTree.parse(tmp_path / f"{kind}.xml").getroot())
+
+
+def at_random(seed):
+    rng = np.random.default_rng(seed)
+    return lambda env: int(rng.integers(5))
+
+
+def always(action):
+    return lambda env: action
+
+
+def in_turn(*actions):
+    """These decisions one after the other, then KEEP."""
+    left = list(actions)
+    return lambda env: left.pop(0) if left else KEEP
+
+
+def drive(env, decide, seed=7):
+    env.reset(seed=seed)
+    while not env.is_over:
+        env.drive(decide(env))
+    return env.trajectory()
+
+
+def assert_same(one, other):
+    for field in dataclasses.fields(one):
+        mine, theirs = getattr(one, field.name), getattr(other, field.name)
+        assert np.array_equal(mine, theirs), field.name
+
+
+def named(env, observation):
+    return dict(zip(feature_names(env.config.lidar, env.config.observation), observation.tolist(), strict=True))
+
+
+# Under the tools of others.
+
+
+def test_gymnasiums_checker_finds_nothing(make):
+    check_env(make(), skip_render_check=True)
+
+
+def test_made_by_its_registered_name_it_is_the_same_environment(make):
+    def driven(env):
+        first, _ = env.reset(seed=3)
+        steps = [env.step(action)[:4] for action in (ACCELERATE, LEFT, KEEP, RIGHT)]
+        env.close()
+        return first.tolist(), [(observation.tolist(), *rest) for observation, *rest in steps]
+
+    assert driven(gymnasium.make("RailSumo/Highway-v0", config=world())) == driven(make())
+
+
+def test_stable_baselines_ppo_trains_on_it_unchanged(make):
+    model = stable_baselines3.PPO("MlpPolicy", make(), n_steps=128, batch_size=64, n_epochs=2, seed=1, device="cpu")
+    before = {name: parameter.clone() for name, parameter in model.policy.named_parameters()}
+    model.learn(384)
+    assert model.num_timesteps == 384
+    for name, parameter in model.policy.named_parameters():
+        assert parameter.isfinite().all()
+        assert not parameter.equal(before[name]), name
+
+
+# Randomness.
+
+
+@pytest.mark.parametrize(
+    "sections",
+    [
+        {},
+        {"network": {"file": "ring5"}},
+        {"network": {"file": "highway3"}},
+        {"traffic": {"routes": ["highway5"]}},
+        {"episode": {"decision_period_s": 0.1, "duration_s": 30.0}},
+    ],
+    ids=["highway5", "ring5", "highway3", "demand", "every step"],
+)
+def test_the_same_seed_is_the_same_episode_bit_for_bit_and_another_one_differs(make, sections):
+    config = world(**sections)
+    first = drive(make(config), at_random(1), seed=7)
+    assert_same(first, drive(make(config), at_random(1), seed=7))
+    other = drive(make(config), at_random(1), seed=8)
+    assert not np.array_equal(first.speed_mps, other.speed_mps)
+
+
+def test_an_environment_that_has_driven_before_drives_as_a_new_one(make):
+    new = drive(make(), at_random(1), seed=7)
+    used = make()
+    drive(used, at_random(2), seed=9)
+    assert_same(drive(used, at_random(1), seed=7), new)
+
+
+def test_a_reset_in_mid_episode_starts_all_over(make):
+    config = world(observation={"frames": 3, "lateral_state": True})
+    new = drive(make(config), at_random(1), seed=7)
+    env = make(config)
+    env.reset(seed=9)
+    env.drive(LEFT)
+    env.drive(ACCELERATE)
+    assert_same(drive(env, at_random(1), seed=7), new)
+
+
+def test_without_a_seed_every_episode_has_traffic_of_its_own_and_the_first_seed_decides_all(make):
+    def three(seed):
+        env = make()
+        return [env.reset(seed=seed)[0].tolist(), env.reset()[0].tolist(), env.reset()[0].tolist()]
+
+    once = three(5)
+    assert once[0] != once[1] != once[2] != once[0]
+    assert three(5) == once
+
+
+def test_watching_changes_nothing(make, monkeypatch):
+    plain = drive(make(), at_random(1))
+    monkeypatch.setattr(env_module, "Simulation", Watched)
+    assert_same(drive(make(), at_random(1)), plain)
+
+
+# One simulation a process.
+
+
+def test_a_second_environment_in_the_process_is_refused_until_the_first_is_closed(make):
+    first, second = make(), HighwayEnv(world())
+    first.reset(seed=1)
+    message = "^a simulation is already running in this process and libsumo holds only one; close it, or drive episodes"
+    with pytest.raises(RuntimeError, match=message):
+        second.reset(seed=2)
+    first.drive(KEEP)
+    first.close()
+    first.close()
+    second.reset(seed=2)
+    first.close()
+    second.drive(KEEP)
+    second.close()
+
+
+def test_after_the_end_a_decision_is_refused_until_reset(make):
+    env = make(world(episode={"duration_s": 1.0}))
+    with pytest.raises(RuntimeError, match=r"^the episode is over; call reset\(\)$"):
+        env.drive(KEEP)
+    drive(env, always(KEEP))
+    with pytest.raises(RuntimeError, match=r"^the episode is over; call reset\(\)$"):
+        env.step(KEEP)
+    env.reset(seed=1)
+    env.step(KEEP)
+
+
+# What is seen.
+
+
+@pytest.mark.parametrize(("network", "lanes"), [("highway5", 5), ("highway3", 3)])
+def test_alone_on_the_road_the_scan_is_the_guard_rails(make, network, lanes):
+    env = make(world(network={"file": network}, traffic=EMPTY))
+    seen = named(env, env.reset(seed=2)[0])
+    host, *_ = env.surroundings()
+    to_left_m = (lanes - host.lane - 0.5) * LANE_M
+    assert seen["distance_0_m"] == 100.0  # straight ahead and behind nothing
+    assert seen["distance_6_m"] == pytest.approx(to_left_m)
+    assert seen["distance_18_m"] == pytest.approx(lanes * LANE_M - to_left_m)
+    assert seen["distance_3_m"] == pytest.approx(to_left_m * math.sqrt(2))  # at 45 degrees
+    assert seen["relative_speed_6_mps"] == pytest.approx(-60 / KMH, abs=1e-3)
+
+
+def test_alone_on_the_ring_the_scan_is_its_two_circles(make):
+    env = make(world(network={"file": "ring5"}, traffic=EMPTY))
+    env.reset(seed=2)
+    for _ in range(30):
+        seen = named(env, env.drive(KEEP)[0])
+        left, right = seen["distance_6_m"], seen["distance_18_m"]
+        lane = env.surroundings()[0].lane
+        assert left + right == pytest.approx(5 * LANE_M, abs=0.05)
+        assert left == pytest.approx((4.5 - lane) * LANE_M, abs=0.15)
+        # Straight ahead the outer circle, radius 508 m, is met after sqrt(508² - r²).
+        radius = 500.0 + (2 - lane) * LANE_M
+        assert seen["distance_0_m"] == pytest.approx(min(100.0, math.sqrt(508.0**2 - radius**2)), abs=4.0)
+
+
+def test_without_road_edges_an_empty_road_shows_nothing(make):
+    env = make(world(traffic=EMPTY, lidar={"road_edges": False, "n_rays": 8}))
+    assert env.reset(seed=2)[0].tolist() == [100.0] * 8 + [0.0] * 8
+
+
+def test_during_a_lane_change_the_scan_and_the_lateral_state_move_with_the_host(make):
+    env = make(world(traffic=EMPTY, observation={"lateral_state": True, "host_speed": True}))
+    before = named(env, env.reset(seed=3)[0])
+    action, side = (LEFT, 1) if env.action_masks()[LEFT] else (RIGHT, -1)
+    after, driven = env.drive(action)
+    after = named(env, after)
+    assert driven == 10
+    assert after["lateral_m"] == pytest.approx(side * 1.7)
+    assert before["distance_6_m"] - after["distance_6_m"] == pytest.approx(side * 1.7)
+    assert after["host_speed_mps"] == pytest.approx(60 / KMH, abs=1e-3)
+    settled = named(env, env.drive(KEEP)[0])
+    assert settled["lateral_m"] == 0.0
+    assert before["distance_6_m"] - settled["distance_6_m"] == pytest.approx(side * LANE_M)
+
+
+def test_the_gaps_told_are_those_in_the_scene(make):
+    env = make(world(network={"file": "highway5"}, episode={"duration_s": 200.0}))
+    env.reset(seed=UNSEEN)
+    compared = 0
+    decide = at_random(4)
+    while not env.is_over:
+        scene, (_, *gaps) = env.scene, env.surroundings()
+        lane = np.round(scene.y_m / LANE_M)
+        for side, gap in zip((0, 1, -1), gaps, strict=True):
+            if env.is_changing_lane or not -2 <= lane[0] + side <= 2:
+                continue
+            # Someone who is just changing lanes is in one lane for SUMO and in the other for the eye: none does here,
+            # as SUMO's changes take one step.
+            inside = np.flatnonzero(lane == lane[0] + side)
+            along = np.array([scene.x_m[i] - scene.x_m[0] for i in inside if i != 0])
+            for metres, told in ((along[along > 0], gap.ahead_m), (-along[along < 0], gap.behind_m)):
+                seen = metres.min() - 5.0 if len(metres) else math.inf
+                if seen < 60.0:  # the scene ends there, SUMO's look-ahead does not
+                    assert told == pytest.approx(seen, abs=0.02)
+                    compared += 1
+                else:
+                    assert told > 55.0
+        env.drive(decide(env))
+    assert compared > 200
+
+
+# When a decision falls due, and what it earns.
+
+
+def test_a_decision_falls_due_every_second_and_at_once_when_a_lane_change_ends(make):
+    env = make(world(traffic=EMPTY))
+    env.reset(seed=3)
+    action = LEFT if env.action_masks()[LEFT] else RIGHT
+    # 3.2 m at 1.7 m/s are 19 steps.
+    assert [env.drive(decision)[1] for decision in (KEEP, action, KEEP, KEEP)] == [10, 10, 9, 10]
+    assert env.trajectory().lane_changing.sum() == 19
+
+
+@pytest.mark.parametrize(("period_s", "steps"), [(0.1, 1), (0.5, 5), (2.0, 20)])
+def test_the_decision_period_is_what_is_configured(make, period_s, steps):
+    env = make(world(episode={"decision_period_s": period_s}))
+    env.reset(seed=3)
+    assert [env.drive(KEEP)[1] for _ in range(5)] == [steps] * 5
+
+
+def test_rewards_step_by_step_are_the_whole_trajectorys(make):
+    env = make(world(episode={"duration_s": 200.0}))
+    env.reset(seed=UNSEEN)
+    decide, earned, over = at_random(1), 0.0, False
+    while not over:
+        _, step, terminated, truncated, _ = env.step(decide(env))
+        earned += step
+        over = terminated or truncated
+    driven = env.trajectory()
+    assert driven.overtakes > 0
+    assert driven.refused_decisions > 0
+    assert earned == pytest.approx(
+        reward(
+            driven.speed_mps[1:],
+            driven.lane_changing,
+            env.config.adas,
+            overtakes=driven.overtakes,
+            overtaken=driven.overtaken,
+            refused_decisions=driven.refused_decisions,
+        )
+    )
+
+
+def test_a_decision_is_refused_where_the_mask_forbids_it(make):
+    env = make(world(episode={"duration_s": 300.0}))
+    env.reset(seed=UNSEEN + 1)
+    decide, allowed_ones, refused_ones = at_random(3), 0, 0
+    while not env.is_over:
+        action, before = decide(env), env.trajectory().refused_decisions
+        is_allowed, was_changing = env.action_masks()[action], env.is_changing_lane
+        env.drive(action)
+        refused = env.trajectory().refused_decisions - before
+        if is_allowed:
+            assert refused == 0
+            allowed_ones += 1
+        elif not was_changing:
+            assert refused == 1
+            refused_ones += 1
+    assert allowed_ones > 50
+    assert refused_ones > 10
+
+
+# When an episode ends.
+
+
+def test_the_course_ends_the_episode_in_the_first_decision_beyond_it(make):
+    env = make(world(episode={"course_m": 500.0, "duration_s": math.inf}, traffic=EMPTY))
+    driven = drive(env, always(ACCELERATE))
+    # 60 km/h to 80 km/h, a decision a second; SUMO moves by the new speed for the whole step.
+    travelled_m = np.cumsum(driven.speed_mps[1:]) * 0.1
+    assert driven.end_reason == "course"
+    assert travelled_m[-1] >= 500.0 > travelled_m[-11]
+
+
+def test_the_duration_ends_the_episode(make):
+    driven = drive(make(world(episode={"duration_s": 12.0})), always(KEEP))
+    assert (driven.end_reason, len(driven.lane_changing), len(driven.actions)) == ("duration", 120, 12)
+
+
+@pytest.fixture
+def short_road(tmp_path):
+    """Three lanes of so many metres."""
+
+    def write(length_m):
+        path = tmp_path / "short.net.xml"
+        path.write_text(assets.network("highway3").read_text().replace("8200.00", f"{length_m:.2f}"))
+        return {"file": str(path)}
+
+    return write
+
+
+@pytest.mark.parametrize("decision_period_s", [0.5, 1.0, 2.0, 4.5, 10.0])
+@pytest.mark.parametrize("max_speed_kmh", [80.0, 130.0])
+def test_the_road_ends_the_episode_before_the_host_runs_off_it(make, short_road, decision_period_s, max_speed_kmh):
+    config = world(
+        network=short_road(1200.0),
+        episode={"decision_period_s": decision_period_s},
+        traffic=EMPTY,
+        adas={"max_speed_kmh": max_speed_kmh},
+    )
+    driven = drive(make(config), always(ACCELERATE))
+    assert driven.end_reason == "end of road"
+    assert 1200.0 - 200.0 - 2 * 50.0 - decision_period_s * max_speed_kmh / KMH < driven.speed_mps[1:].sum() * 0.1 < 1000.0
+
+
+def test_a_road_too_short_to_start_on_is_a_users_error(make, short_road):
+    message = (
+        "^network 'short': the course is 150 m long and the host starts at 200 m; "
+        "use a longer course or a smaller traffic.behind_m$"
+    )
+    with pytest.raises(InputError, match=message):
+        make(world(network=short_road(150.0))).reset(seed=1)
+
+
+def test_on_a_ring_the_course_is_driven_in_laps(make):
+    config = world(network={"file": "ring5"}, episode={"course_m": 7222.0, "duration_s": math.inf}, traffic=EMPTY)
+    driven = drive(make(config), always(ACCELERATE))
+    assert driven.end_reason == "course"
+    assert 7222.0 <= driven.speed_mps[1:].sum() * 0.1 < 7222.0 + 80 / KMH
+
+
+@pytest.fixture
+def soon():
+    """Fail rather than hang."""
+
+    def late(*_):
+        raise TimeoutError("not done within 5 s")
+
+    before = signal.signal(signal.SIGALRM, late)
+    signal.setitimer(signal.ITIMER_REAL, 5.0)
+    yield
+    signal.setitimer(signal.ITIMER_REAL, 0.0)
+    signal.signal(signal.SIGALRM, before)
+
+
+@pytest.mark.usefixtures("soon")
+def test_on_a_ring_an_episode_may_be_limited_by_its_duration_alone(make):
+    driven = drive(make(world(network={"file": "ring5"}, traffic=EMPTY)), always(KEEP))
+    assert (driven.end_reason, len(driven.lane_changing)) == ("duration", 600)
+
+
+def intrude(gap_m):
+    """A decision maker before whose second decision a parked car appears right ahead, by a lane change in one step."""
+
+    def decide(env):
+        decide.calls += 1
+        if decide.calls == 2:
+            front_m, lane = libsumo.vehicle.getLanePosition(HOST), libsumo.vehicle.getLaneIndex(HOST)
+            beside = lane + 1 if lane < 4 else lane - 1
+            libsumo.route.add("parking", ["highway"])
+            libsumo.vehicle.add(
+                "parked",
+                "parking",
+                TRAFFIC_TYPE,
+                departLane=str(beside),
+                departPos=str(front_m + gap_m + 5.0),
+                departSpeed="0",
+            )
+            libsumo.vehicle.setSpeedMode("parked", 0)
+            libsumo.vehicle.setLaneChangeMode("parked", 0)
+            libsumo.vehicle.setSpeed("parked", 0.0)
+        if decide.calls == 3:
+            libsumo.vehicle.changeLane("parked", libsumo.vehicle.getLaneIndex(HOST), 0.0)
+        return KEEP
+
+    decide.calls = 0
+    return decide
+
+
+def test_a_collision_terminates_costs_ten_and_is_what_sumo_writes_down(make, outputs):
+    env = make(world(traffic=EMPTY, episode={"decision_period_s": 0.5}))
+    env.reset(seed=1)
+    decide, over = intrude(20.0), False
+    while not over:
+        _, earned, terminated, truncated, _ = env.step(decide(env))
+        over = terminated or truncated
+    driven = env.trajectory()
+    env.close()
+    assert (terminated, truncated) == (True, False)
+    assert earned < -9.0
+    assert (driven.end_reason, driven.collisions, driven.struck) == ("collision", 1, 0)
+    (entry,) = outputs("collision")
+    assert (entry.get("collider"), entry.get("victim")) == (HOST, "parked")
+
+
+def test_a_parked_car_that_appears_farther_ahead_is_none(make, outputs):
+    # 16.7 m/s are braked away at 9 m/s² in 15.4 m.
+    env = make(world(traffic=EMPTY, episode={"decision_period_s": 0.5, "duration_s": 20.0}))
+    driven = drive(env, intrude(40.0))
+    env.close()
+    assert (driven.end_reason, driven.collisions, driven.struck) == ("duration", 0, 0)
+    assert driven.speed_mps[-1] == pytest.approx(0.0, abs=1e-3)
+    assert outputs("collision") == []
+
+
+# Agreement with an onlooker, and with SUMO's own account.
+
+
+def settled_lanes(left_m):
+    """What an onlooker sees of the host: the lanes whose centre it settled in, and how far each excursion went."""
+    lanes, farthest = [], []
+    for now in np.asarray(left_m) / LANE_M:
+        if abs(now - round(now)) < 1e-6:
+            lanes.append(round(now))
+            farthest.append(0.0)
+        else:
+            farthest[-1] = max(farthest[-1], abs(now - lanes[-1]))
+    return lanes, farthest
+
+
+def lane_change_identity(left_m):
+    """(lane changes, aborted ones, changes of lane that SUMO must have written down).
+
+    The host crosses over 0.25 m before the border. A completed change is one entry for SUMO; an aborted one is two if it
+    had crossed, there and back, and none otherwise; one that the episode's end cuts short is one if it had crossed.
+    """
+    crossed_at = (LANE_M / 2 - 0.25) / LANE_M - 1e-9
+    lanes, farthest = settled_lanes(left_m)
+    changes = sum(one != other for one, other in pairwise(lanes))
+    excursions = [
+        (far, one == other) for far, (one, other) in zip(farthest, pairwise(lanes), strict=False) if far > 0.0
+    ]
+    aborted = [far for far, returned in excursions if returned]
+    cut_short = farthest[-1] >= crossed_at
+    return changes, len(aborted), changes + 2 * sum(far >= crossed_at for far in aborted) + cut_short
+
+
+@pytest.mark.parametrize("decision_period_s", [0.3, 1.0])
+@pytest.mark.parametrize("seed", range(UNSEEN, UNSEEN + 3))
+def test_lane_changes_are_those_of_an_onlooker_and_of_sumos_own_output(make, outputs, seed, decision_period_s):
+    env = make(world(episode={"duration_s": 300.0, "decision_period_s": decision_period_s}))
+    driven = drive(env, at_random(seed), seed=seed)
+    env.close()
+    left_m = Watched.latest.left_m
+    changes, aborted, entries = lane_change_identity(left_m)
+    assert (driven.lane_changes, driven.aborted_lane_changes) == (changes, aborted)
+    assert changes > 5
+    assert aborted > 0
+    of_host = [entry for entry in outputs("lanechange") if entry.get("id") == HOST]
+    assert len(of_host) == entries
+    assert sum(int(entry.get("dir")) for entry in of_host) == round((left_m[-1] - left_m[0]) / LANE_M)
+
+
+@pytest.mark.parametrize("seed", range(UNSEEN, UNSEEN + 3))
+def test_with_hands_off_sumo_changes_lanes_and_its_own_output_agrees(make, outputs, seed):
+    env = make(world(episode={"duration_s": 300.0}), hands_off=True)
+    driven = drive(env, at_random(seed), seed=seed)
+    env.close()
+    of_host = [entry for entry in outputs("lanechange") if entry.get("id") == HOST]
+    assert driven.lane_changes == len(of_host) >= 3
+    assert (driven.refused_decisions, driven.aborted_lane_changes) == (0, 0)
+    assert outputs("collision") == []
+
+
+def test_with_hands_off_decisions_do_nothing(make):
+    kept = drive(make(hands_off=True), always(KEEP))
+    decided = drive(make(hands_off=True), at_random(1))
+    assert np.array_equal(kept.speed_mps, decided.speed_mps)
+    assert kept.lane_changes == decided.lane_changes
+
+
+def onlooker_passes(ahead_m):
+    """Overtakes and being overtaken, from where everybody's front is after every step; all cars are 5 m long."""
+    side, overtakes, overtaken = {}, 0, 0
+    for step in ahead_m:
+        side = {name: clear for name, clear in side.items() if name in step}
+        for name, ahead in step.items():
+            if abs(ahead) > 5.0:
+                before, side[name] = side.get(name), ahead > 0
+                overtakes += before is True and ahead < 0
+                overtaken += before is False and ahead > 0
+    return overtakes, overtaken
+
+
+@pytest.mark.parametrize("decision_period_s", [0.5, 1.0, 2.0, 5.0, 10.0])
+@pytest.mark.parametrize("action", [ACCELERATE, DECELERATE])
+def test_overtakes_are_those_of_an_onlooker(make, watched, decision_period_s, action):
+    env = make(world(episode={"duration_s": 300.0, "decision_period_s": decision_period_s}))
+    driven = drive(env, always(action), seed=UNSEEN)
+    assert (driven.overtakes, driven.overtaken) == onlooker_passes(watched().ahead_m)
+    assert driven.overtakes + driven.overtaken > 10
+
+
+def sideways_or_faster(env):
+    """Change lanes whenever that is allowed, else speed up."""
+    mask = env.action_masks()
+    return next((action for action in (LEFT, RIGHT) if mask[action]), ACCELERATE)
+
+
+def test_with_a_demand_of_ones_own_only_its_vehicles_are_on_the_road(make):
+    env = make(world(traffic={"routes": ["highway5"]}, episode={"duration_s": 120.0}))
+    env.reset(seed=UNSEEN)
+    seen, widths = set(), set()
+    while not env.is_over:
+        env.drive(sideways_or_faster(env))
+        seen |= set(env.scene.ids[1:])
+        widths |= set(env.scene.width_m[1:].tolist())
+    assert len(seen) > 20
+    assert {name.partition(".")[0] for name in seen} <= {"fill", "follow"}
+    assert {1.8, 2.5} <= widths  # its lorries keep their size
+    assert env.trajectory().overtakes > 0
+
+
+# Safety, whatever the supervisor decides.
+
+
+def jumpy(seed):
+    """Nothing but sideways."""
+    rng = np.random.default_rng(seed)
+    return lambda env: int(rng.choice([LEFT, RIGHT]))
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(
+    ("driver", "sections"),
+    [
+        (at_random, {}),
+        (lambda seed: sideways_or_faster, {}),
+        (jumpy, {}),
+        (at_random, {"episode": {"decision_period_s": 0.1}}),
+        (jumpy, {"episode": {"decision_period_s": 0.3}}),
+        (at_random, {"network": {"file": "ring5"}}),
+        (at_random, {"traffic": {"routes": ["highway5"]}}),
+        (at_random, {"traffic": {"vehicles": 60, "lane_change_every_s": 5.0}}),
+    ],
+    ids=["random", "sideways", "jumpy", "random every step", "jumpy every 0.3 s", "ring", "demand", "dense"],
+)
+def test_whatever_is_decided_the_host_touches_nobody_and_never_brakes_beyond_9_mps2(
+    make, watched, touching, driver, sections
+):
+    config = world(**{**sections, "episode": {"duration_s": 300.0, **sections.get("episode", {})}})
+    changes = 0
+    for seed in range(UNSEEN, UNSEEN + 20):
+        driven = drive(make(config), driver(seed), seed=seed)
+        assert (driven.collisions, driven.struck) == (0, 0), seed
+        for scene in watched().scenes:
+            assert touching(scene) == [], (seed, scene.time_s)
+        assert -np.diff(driven.speed_mps).min() / 0.1 <= 9.0 + 1e-6, seed
+        changes += driven.lane_changes
+    assert changes > 100
