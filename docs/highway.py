@@ -172,14 +172,14 @@ def draw_legend(axes: Axes, y: float, speeds: ScalarMappable) -> None:
     """Write below the road what the marks mean."""
     x = MARGIN_M - BEHIND_M
     draw_box(axes, x + 1.25, y, 2.5, 1.3, HOST, filled=True)
-    draw_box(axes, x + 54.75, y, 2.5, 1.3, INK, filled=False)
+    draw_box(axes, x + 62.75, y, 2.5, 1.3, INK, filled=False)
     axes.plot([x + 10.5, x + 13.0], [y, y], **VEHICLE_RAY)
     axes.plot([x + 30.5, x + 33.0], [y, y], **RAIL_RAY)
     for offset, text in (
         (3.5, "host"),
         (14.0, "ray on a vehicle"),
-        (34.0, "ray on the guard rail"),
-        (57.0, "vehicle no ray hits"),
+        (34.0, "ray on the guard rail, or on nothing"),
+        (65.0, "vehicle no ray hits"),
     ):
         axes.text(x + offset, y, text, va="center_baseline", color=INK)
     end = AHEAD_M - MARGIN_M - 6.4

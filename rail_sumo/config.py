@@ -52,7 +52,7 @@ class Traffic(_Section):
     vehicles: Annotated[int, Field(ge=0, le=500)] = 20
     ahead_m: Annotated[float, Field(ge=50.0, le=2000.0)] = 250.0
     behind_m: Annotated[float, Field(ge=50.0, le=2000.0)] = 150.0
-    speed_low_kmh: Positive = 55.0
+    speed_low_kmh: Positive = 57.0
     speed_high_kmh: Positive = 70.0
     lane_change_every_s: Limit = 30.0
     """Mean time between one vehicle's tries to change lanes; inf for none."""
@@ -170,6 +170,8 @@ class Expert(_Section):
 
     decisions: Count = 100_000
     horizon_s: Positive = 300.0
+    slower_traffic_kmh: NonNegative = 2.0
+    """It practises among vehicles whose slowest is slower by this than the world's: more to overtake."""
     hidden: tuple[Count, ...] = (128, 128)
     learning_rate: Positive = 4e-4
     """Falls to 0 over the training."""
@@ -195,6 +197,15 @@ class Config(_Section):
     judge: Judge = Judge()
     train: Train = Train()
     expert: Expert = Expert()
+
+    @model_validator(mode="after")
+    def _expert_traffic_moves(self) -> "Config":
+        if self.expert.slower_traffic_kmh >= self.traffic.speed_low_kmh:
+            raise ValueError(
+                f"expert.slower_traffic_kmh {self.expert.slower_traffic_kmh} must be below "
+                f"traffic.speed_low_kmh {self.traffic.speed_low_kmh}"
+            )
+        return self
 
 
 def load(path: Path | None = None, overrides: Iterable[str] = ()) -> Config:

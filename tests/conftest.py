@@ -26,7 +26,8 @@ def touching():
 
     def of(scene):
         host = _corners(scene, 0)
-        near = np.hypot(scene.x_m - scene.x_m[0], scene.y_m - scene.y_m[0]) < 30.0
+        reach_m = 0.5 * np.hypot(scene.length_m, scene.width_m)
+        near = np.hypot(scene.x_m - scene.x_m[0], scene.y_m - scene.y_m[0]) < reach_m + reach_m[0]
         return [
             scene.ids[index]
             for index in np.flatnonzero(near)[1:]

@@ -14,6 +14,7 @@ from rail_sumo.records import KMH, Command
 
 START_M = 200.0
 ADAS = config.Adas()
+SLOW = {"speed_low_kmh": 40.0, "speed_high_kmh": 70.0}
 
 
 class Window:
@@ -63,7 +64,7 @@ def window():
         for other in opened:
             other.simulation.close()
         opened.append(
-            Window(config.Traffic(**traffic), seed=seed, network=network, host_kmh=host_kmh, outputs=outputs)
+            Window(config.Traffic(**SLOW | traffic), seed=seed, network=network, host_kmh=host_kmh, outputs=outputs)
         )
         return opened[-1]
 

@@ -190,10 +190,11 @@ class HighwayEnv(gymnasium.Env[Floats, np.int64]):
             return "course"
         if len(self._lane_changing) >= self._duration_steps:
             return "duration"
-        last = self._simulation.speeds_mps[-STANDSTILL_STEPS:]
-        if last[-1] < CRAWL_MPS and len(last) == STANDSTILL_STEPS and max(last) < CRAWL_MPS:
-            return "standstill"
-        return "end of road" if travelled_m >= self._road_end_m else None
+        if travelled_m >= self._road_end_m:
+            return "end of road"
+        speeds = self._simulation.speeds_mps
+        crawls = speeds[-1] < CRAWL_MPS and len(speeds) >= STANDSTILL_STEPS
+        return "standstill" if crawls and max(speeds[-STANDSTILL_STEPS:]) < CRAWL_MPS else None
 
     @property
     def scene(self) -> Scene:

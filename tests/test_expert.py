@@ -1,0 +1,100 @@
+import json
+
+import numpy as np
+import pytest
+
+from rail_sumo import config, drivers, expert, run
+from rail_sumo.assets import sha256
+from rail_sumo.errors import InputError
+from rail_sumo.imitation import ppo
+from rail_sumo.imitation.demonstrations import Demonstrations
+from rail_sumo.records import MetaAction
+
+N_FEATURES = 48
+SHORT = config.load(None, ["episode.duration_s=20", "train.evaluation_episodes=2", "train.trajectories=3"])
+
+
+def always(action):
+    """A network whose output is largest for one action, whatever it sees."""
+    return [(np.zeros((5, N_FEATURES)), np.eye(5)[action])]
+
+
+@pytest.fixture
+def trained(tmp_path, monkeypatch):
+    """The folder of an expert that always accelerates, as if PPO had come to that."""
+    monkeypatch.setattr(ppo, "train", lambda config, seed, observer: always(MetaAction.ACCELERATE))
+    expert.train(SHORT, tmp_path / "mine", seed=5)
+    return tmp_path / "mine"
+
+
+def test_the_manifest_names_every_file_and_how_it_was_made(trained):
+    manifest = json.loads((trained / "manifest.json").read_text())
+    files = {path.name: sha256(path) for path in trained.iterdir() if path.name != "manifest.json"}
+    assert manifest["files"] == files
+    assert {"policy.safetensors", "config.toml", "demonstrations.parquet", "episodes.csv"} <= set(files)
+    assert manifest["seed"] == 5
+    assert manifest["libsumo"].startswith("1.")
+    # From 60 km/h it takes 2.8 s at 2 m/s² to 80 km/h; traffic ahead may hold it up, but never below the start.
+    assert 60.0 < manifest["evaluation"]["speed_kmh"] <= 80.0
+    assert config.load(trained / "config.toml") == SHORT
+
+
+def test_the_demonstrations_are_its_own_on_other_traffic_than_the_evaluation(trained):
+    world = SHORT
+    features = run.feature_names(world.lidar, world.observation)
+    demonstrations = Demonstrations.load(trained / "demonstrations.parquet", features=features)
+    assert demonstrations.n_episodes == 3
+    assert set(demonstrations.actions) == {MetaAction.ACCELERATE}
+    again = run.record(drivers.load_expert(world, trained), world, episodes=3, seed=5)
+    np.testing.assert_array_equal(demonstrations.observations, again.observations)
+
+
+def test_its_folder_drives_under_its_path_and_differs_from_the_shipped_expert(trained):
+    world = run.world([str(trained)])
+    assert world == SHORT
+    mine = run.find_driver(str(trained), world)
+    episodes, _ = run.evaluate({"mine": mine, "keep": "keep"}, world, episodes=1, seed=1)
+    speeds = episodes.set_index("policy")["speed_kmh"]
+    assert speeds["mine"] > speeds["keep"]
+
+
+def test_a_changed_file_is_refused(trained):
+    with (trained / "policy.safetensors").open("ab") as file:
+        file.write(b"x")
+    with pytest.raises(InputError, match=r"policy.safetensors' is damaged or was changed"):
+        run.find_driver(str(trained), SHORT)
+
+
+def test_an_existing_folder_is_refused_before_any_training(trained, monkeypatch):
+    monkeypatch.setattr(ppo, "train", lambda *_: pytest.fail("trained in vain"))
+    with pytest.raises(InputError, match="exists"):
+        expert.train(SHORT, trained, seed=5)
+
+
+def test_a_failure_leaves_nothing_behind(tmp_path, monkeypatch):
+    monkeypatch.setattr(ppo, "train", lambda config, seed, observer: always(MetaAction.KEEP))
+
+    def full_disk(*_):
+        raise OSError(28, "No space left on device")
+
+    monkeypatch.setattr(expert, "save_file", full_disk)
+    with pytest.raises(InputError, match="No space left on device"):
+        expert.train(SHORT, tmp_path / "mine", seed=5)
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_ppo_folds_its_scale_into_the_first_layer():
+    """The network that is read out must decide on plain observations as the trained one did on scaled ones."""
+    tiny = config.load(None, ["expert.decisions=64", "expert.decisions_per_update=64", "expert.hidden=[4]"])
+    first, second = ppo.train(tiny, 3), ppo.train(tiny, 3)
+    other = ppo.train(tiny, 4)
+    for (weights, biases), (same_weights, same_biases) in zip(first, second, strict=True):
+        np.testing.assert_array_equal(weights, same_weights)
+        np.testing.assert_array_equal(biases, same_biases)
+    assert not np.array_equal(first[0][0], other[0][0])
+    scale = ppo.scale_of(tiny, N_FEATURES)
+    assert scale[0] == tiny.lidar.max_range_m
+    assert scale[24] == 10.0
+    # Orthogonal initialisation at gain sqrt(2) gives rows of that length; 64 decisions hardly move them.
+    rows = np.linalg.norm(first[0][0] * scale, axis=1)
+    assert rows == pytest.approx(np.full(4, np.sqrt(2)), rel=0.05)
