@@ -525,6 +525,68 @@ def test_a_host_that_has_stood_still_for_five_minutes_ends_the_episode(make):
     assert len(driven.lane_changing) * 0.1 - still == pytest.approx(300.0, abs=0.5)
 
 
+MERGE = """<net version="1.20">
+<location netOffset="0,0" convBoundary="0,0,2000,0" origBoundary="0,0,2000,0" projParameter="!"/>
+<edge id=":b_0" function="internal">
+    <lane id=":b_0_0" index="0" speed="36.11" length="8.00" shape="996,-4.80 1004,-4.80"/>
+    <lane id=":b_0_1" index="1" speed="36.11" length="8.00" shape="996,-1.60 1004,-1.60"/>
+</edge>
+<edge id="wide" from="a" to="b" priority="-1">
+    <lane id="wide_0" index="0" speed="36.11" length="996.00" shape="0,-8.00 996,-8.00"/>
+    <lane id="wide_1" index="1" speed="36.11" length="996.00" shape="0,-4.80 996,-4.80"/>
+    <lane id="wide_2" index="2" speed="36.11" length="996.00" shape="0,-1.60 996,-1.60"/>
+</edge>
+<edge id="narrow" from="b" to="c" priority="-1">
+    <lane id="narrow_0" index="0" speed="36.11" length="996.00" shape="1004,-4.80 2000,-4.80"/>
+    <lane id="narrow_1" index="1" speed="36.11" length="996.00" shape="1004,-1.60 2000,-1.60"/>
+</edge>
+<junction id="a" type="dead_end" x="0" y="0" incLanes="" intLanes="" shape="0,0 0,-9.60"/>
+<junction id="b" type="priority" x="1000" y="0" incLanes="wide_0 wide_1 wide_2" intLanes=":b_0_0 :b_0_1"
+    shape="1004,0 1004,-6.40 996,-9.60 996,0">
+    <request index="0" response="00" foes="00" cont="0"/>
+    <request index="1" response="00" foes="00" cont="0"/>
+</junction>
+<junction id="c" type="dead_end" x="2000" y="0" incLanes="narrow_0 narrow_1" intLanes="" shape="2000,-6.40 2000,0"/>
+<connection from="wide" to="narrow" fromLane="1" toLane="0" via=":b_0_0" dir="s" state="M"/>
+<connection from="wide" to="narrow" fromLane="2" toLane="1" via=":b_0_1" dir="s" state="M"/>
+<connection from=":b_0" to="narrow" fromLane="0" toLane="0" dir="s" state="M"/>
+<connection from=":b_0" to="narrow" fromLane="1" toLane="1" dir="s" state="M"/>
+</net>"""
+"""Three lanes, of which the right one ends after a kilometre: what netconvert made of two edges, shortened."""
+
+
+@pytest.fixture
+def merge(tmp_path):
+    path = tmp_path / "merge.net.xml"
+    path.write_text(MERGE)
+    return {"file": str(path)}
+
+
+@pytest.mark.parametrize("traffic", [EMPTY, {"vehicles": 10}])
+def test_the_host_gets_on_from_a_lane_that_ends_and_over_a_junction(make, watched, merge, traffic):
+    started = []
+    for seed in range(12):
+        driven = drive(make(world(network=merge, traffic=traffic, episode={"duration_s": 300.0})), always(KEEP), seed)
+        first, last = watched().scenes[0], watched().scenes[-1]
+        started.append(first.y_m[0])
+        assert driven.end_reason == "end of road"
+        assert last.x_m[0] > 1900.0
+        # Whoever started on the lane that ends, 8 m to the right, moved over by one; the others kept theirs.
+        assert driven.lane_changes == (first.y_m[0] == -8.0)
+        assert last.y_m[0] == pytest.approx(max(first.y_m[0], -4.8))
+    assert set(started) == {-8.0, -4.8, -1.6}
+
+
+@pytest.mark.parametrize("hands_off", [False, True])
+def test_beyond_a_junction_other_lane_numbers_are_no_lane_changes(make, outputs, merge, hands_off):
+    env = make(world(network=merge, traffic={"vehicles": 10}, episode={"duration_s": 300.0}), hands_off=hands_off)
+    driven = drive(env, always(KEEP), seed=UNSEEN)
+    env.close()
+    of_host = [entry for entry in outputs("lanechange") if entry.get("id") == HOST]
+    assert driven.end_reason == "end of road"
+    assert driven.lane_changes == len(of_host)
+
+
 # Agreement with an onlooker, and with SUMO's own account.
 
 

@@ -82,18 +82,16 @@ class Lidar:
             return np.full(len(self._rays), self.max_range_m), np.zeros(len(self._rays))
         # From the host's frame into each box's own, where the host is at `origin` and the rays go along `direction`.
         turn = np.exp((heading_rad - table[:, 2]) * 1j)
-        centre = (table[:, :2] - (x_m, y_m)).view(np.complex128) * cmath.exp(-1j * heading_rad)
-        origin = (centre * -turn[:, None]).view(np.float64)[:, None, :]
-        direction = (turn[:, None] * self._rays).view(np.float64).reshape(len(table), -1, 2)
-        # Distance along the ray to the middle of each slab, and from there to its faces; shape (n_boxes, n_rays, 2).
-        per_metre = 1.0 / (direction + PARALLEL)
-        middle = -origin * per_metre
-        to_face = np.abs(0.5 * table[:, None, 4:] * per_metre)
-        (enter_x, enter_y), (leave_x, leave_y) = (middle - to_face).T, (middle + to_face).T
+        centre = (table[:, 0] - x_m + 1j * (table[:, 1] - y_m)) * cmath.exp(-1j * heading_rad)
+        origin = -centre * turn
+        direction = turn[:, None] * self._rays
+        # Distance along each ray to where it enters and leaves the box's length, and its width; (n_boxes, n_rays).
+        enter_x, leave_x = _slab(origin.real, direction.real, table[:, 4])
+        enter_y, leave_y = _slab(origin.imag, direction.imag, table[:, 5])
         enter, leave = np.maximum(enter_x, enter_y), np.minimum(leave_x, leave_y)
         enter[(enter > leave) | (leave < 0.0)] = self.max_range_m
-        first = enter.argmin(axis=1)
-        distance = enter[self._columns, first].clip(0.0, self.max_range_m)
+        first = enter.argmin(axis=0)
+        distance = np.minimum(np.maximum(enter[first, self._columns], 0.0), self.max_range_m)
         relative = (table[:, 3] * turn.real)[first] - speed_mps
         relative[distance >= self.max_range_m] = 0.0
         return distance, relative
@@ -109,3 +107,11 @@ class Lidar:
         from_middle = (self._edges[:, 0] - middle.real) + 1j * (self._edges[:, 1] - middle.imag)
         reach = self.max_range_m + CELL_M + 0.5 * self._edges[:, 4]
         return np.abs(from_middle) < reach
+
+
+def _slab(origin: Floats, direction: Floats, size_m: Floats) -> tuple[Floats, Floats]:
+    """Return how far along each ray it enters and leaves a slab of this size about 0; shape (n_boxes, n_rays)."""
+    per_metre = 1.0 / (direction + PARALLEL)
+    middle = -origin[:, None] * per_metre
+    to_face = np.abs((0.5 * size_m)[:, None] * per_metre)
+    return middle - to_face, middle + to_face

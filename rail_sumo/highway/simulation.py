@@ -1,7 +1,10 @@
 """The one libsumo process: Scene out, Command in. Every SUMO fact is converted once, here."""
 
 import math
-from collections.abc import Sequence
+import os
+import tempfile
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
 from pathlib import Path
 
 import libsumo
@@ -27,7 +30,7 @@ SUMO_CHANGES_LANES = 1621
 
 WAIT_S = 120.0
 LEADER_RANGE_M = 100.0
-NO_GAP = Gaps(math.inf, 0.0, math.inf, 0.0)
+FAILURES = (libsumo.TraCIException, libsumo.FatalTraCIError)
 
 POSITION, ANGLE, SPEED = _IN_CONTEXT = (
     constants.VAR_POSITION,
@@ -186,7 +189,7 @@ class Simulation:
             InputError: no room within `WAIT_S`.
         """
         for _ in range(round(WAIT_S / SECONDS_PER_STEP)):
-            libsumo.simulation.step()
+            _step()
             if HOST in libsumo.simulation.getDepartedIDList():
                 break
         else:
@@ -245,7 +248,7 @@ class Simulation:
     def gaps(self, side: int) -> Gaps:
         """Return the gaps in the host's own lane (0) or the one to its left (+1) or right (-1)."""
         if side == 0:
-            leader, follower = libsumo.vehicle.getLeader(HOST, 0.0), libsumo.vehicle.getFollower(HOST)
+            leader, follower = libsumo.vehicle.getLeader(HOST, LEADER_RANGE_M), libsumo.vehicle.getFollower(HOST)
             ahead, behind = ([pair] if pair and pair[0] else [] for pair in (leader, follower))
         else:
             mode = 0 if side > 0 else 1
@@ -271,8 +274,12 @@ class Simulation:
     # Time goes on.
 
     def run(self, command: Command) -> int:
-        """Carry a command out; returns the number of steps driven: fewer than asked after a collision."""
-        vehicle, step, speeds = libsumo.vehicle, libsumo.simulation.step, self.speeds_mps
+        """Carry a command out; returns the number of steps driven: fewer than asked after a collision.
+
+        Raises:
+            InputError: SUMO gives up, for example at a vehicle of the user's demand that cannot drive its route.
+        """
+        vehicle, speeds = libsumo.vehicle, self.speeds_mps
         vehicle.setSpeed(HOST, command.speed_mps)
         if command.cross:
             vehicle.changeLane(HOST, vehicle.getLaneIndex(HOST) + command.cross, 0.0)
@@ -280,7 +287,7 @@ class Simulation:
             vehicle.setLateralLanePosition(HOST, command.lateral_m)
             self._lateral_m = command.lateral_m
         for driven in range(1, command.steps + 1):
-            step()
+            _step()
             speed = vehicle.getSpeed(HOST)
             speeds.append(speed)
             leader = vehicle.getLeader(HOST, LEADER_RANGE_M)
@@ -295,7 +302,7 @@ class Simulation:
 
     def run_without_host(self, seconds: float) -> None:
         """Let the traffic drive, before the host is watched."""
-        libsumo.simulation.step(libsumo.simulation.getTime() + seconds)
+        _step(libsumo.simulation.getTime() + seconds)
 
     def _count_collisions(self) -> bool:
         """Count contacts of the host; those among the others are none of its business."""
@@ -306,7 +313,35 @@ class Simulation:
 
 
 def _start(arguments: list[str]) -> None:
+    with tempfile.TemporaryFile() as said, _standard_error_to(said.fileno()):
+        try:
+            libsumo.start(["sumo", *arguments])
+        except FAILURES as error:
+            said.seek(0)
+            raise InputError(f"SUMO cannot load the network or its demand: {_reason(said.read(), error)}") from None
+
+
+def _step(until_s: float = 0.0) -> None:
     try:
-        libsumo.load(arguments) if libsumo.isLoaded() else libsumo.start(["sumo", *arguments])
-    except (libsumo.TraCIException, libsumo.FatalTraCIError) as error:
-        raise InputError(f"SUMO cannot load the network or its demand: {error}") from None
+        libsumo.simulation.step(until_s)
+    except FAILURES as error:  # libsumo's own cannot be pickled, so they would not reach the parent of a worker
+        raise InputError(f"SUMO stopped: {error}") from None
+
+
+@contextmanager
+def _standard_error_to(file: int) -> Iterator[None]:
+    """Send what SUMO says elsewhere: it writes to the process's standard error, past sys.stderr."""
+    kept = os.dup(2)
+    os.dup2(file, 2)
+    try:
+        yield
+    finally:
+        os.dup2(kept, 2)
+        os.close(kept)
+
+
+def _reason(said: bytes, error: Exception) -> str:
+    """Return the first error that SUMO told on standard error; its exception often knows only "Process Error"."""
+    lines = (line.strip() for line in said.decode(errors="replace").splitlines())
+    told = next((line.removeprefix("Error: ") for line in lines if line.startswith("Error")), str(error))
+    return " ".join(told.split())

@@ -1,0 +1,110 @@
+"""Whether our counts are SUMO's: python benchmarks/agreement.py [--episodes 20] [--set section.key=value].
+
+SUMO writes its own account of every episode, lanechange-output and collision-output; an onlooker notes where the host
+is, sideways, after every step. On a straight road the three must agree:
+
+    host's entries in lanechange-output = lane changes + 2 x aborted ones that had crossed over + 1 if the episode's end
+    cut one short that had
+
+since an aborted change that had become a vehicle of the next lane is two entries, there and back. With SUMO's own
+driver every entry is a lane change.
+"""
+
+import argparse
+import dataclasses
+import functools
+import tempfile
+import xml.etree.ElementTree as ElementTree
+from pathlib import Path
+from unittest import mock
+
+import libsumo
+
+from rail_sumo import config
+from rail_sumo.highway import env
+from rail_sumo.highway.adas import LATE_LATERAL_M
+from rail_sumo.highway.simulation import HOST, Simulation
+from rail_sumo.records import Command
+from rail_sumo.rollout import EVALUATION, Task, drive, traffic_seed, workers
+
+
+class Watched(Simulation):
+    """Goes one step at a time and notes where the host is sideways."""
+
+    def __init__(self, *arguments, left_m: list[float], **named) -> None:
+        super().__init__(*arguments, **named)
+        self._left_m = left_m
+
+    def run(self, command: Command) -> int:
+        for number in range(command.steps):
+            super().run(dataclasses.replace(command, steps=1, cross=command.cross if number == 0 else 0))
+            self._left_m.append(libsumo.vehicle.getPosition(HOST)[1])
+            if self.contact:
+                return number + 1
+        return command.steps
+
+
+def excursions(left_m: list[float], lane_m: float) -> list[tuple[int, float]]:
+    """(lanes moved by once it settled, farthest from where it began) of each time the host left a lane's centre."""
+    found, begun, farthest = [], left_m[0], 0.0
+    for now in left_m:
+        farthest = max(farthest, abs(now - begun))
+        lanes = (now - left_m[0]) / lane_m
+        if abs(lanes - round(lanes)) < 1e-6 and farthest:
+            found.append((round((now - begun) / lane_m), farthest))
+            begun, farthest = now, 0.0
+    return [*found, (0, -farthest)] if farthest else found
+
+
+def episode(task: Task) -> dict[str, int]:
+    left_m: list[float] = []
+    with tempfile.TemporaryDirectory() as folder:
+        files = {kind: Path(folder, f"{kind}.xml") for kind in ("lanechange", "collision")}
+        outputs = [word for kind, file in files.items() for word in (f"--{kind}-output", str(file))]
+        watched = functools.partial(Watched, outputs=outputs, left_m=left_m)
+        with mock.patch.object(env, "Simulation", watched):
+            driven = drive(task)
+        entries = {kind: list(ElementTree.parse(file).getroot()) for kind, file in files.items()}
+    crossing_m = 0.5 * 3.2 - LATE_LATERAL_M - 1e-9
+    seen = excursions(left_m, 3.2)
+    changes = sum(abs(lanes) for lanes, _ in seen)
+    back = [far for lanes, far in seen if lanes == 0 and far > 0]
+    cut_short = sum(-far >= crossing_m for _, far in seen if far < 0)
+    return {
+        "lane changes": driven.lane_changes,
+        "of an onlooker": changes,
+        "aborted": driven.aborted_lane_changes,
+        "of an onlooker ": len(back),
+        "SUMO's entries": sum(entry.get("id") == HOST for entry in entries["lanechange"]),
+        "identity": changes + 2 * sum(far >= crossing_m for far in back) + cut_short,
+        "collisions": driven.collisions + driven.struck,
+        "SUMO's": sum(HOST in (entry.get("collider"), entry.get("victim")) for entry in entries["collision"]),
+    }
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--episodes", type=int, default=20)
+    parser.add_argument("--seed", type=int, default=1811)
+    parser.add_argument("--set", action="append", default=[], help="section.key=value, as in rail-sumo eval")
+    given = parser.parse_args()
+    world = config.load(overrides=["episode.course_m=inf", "episode.duration_s=300", *given.set])
+    seeds = [traffic_seed(given.seed, EVALUATION, number) for number in range(given.episodes)]
+    disagreeing, heading = 0, ""
+    with workers(2) as pool:
+        for driver in ("random", "rule", "sumo"):
+            rows = list(pool.map(episode, [Task(driver, world, seed) for seed in seeds]))
+            if not heading:
+                heading = f"{'driver':8}{'episodes':>9}" + "".join(f"{name.strip():>16}" for name in rows[0])
+                print(heading)
+            totals = [sum(row[name] for row in rows) for name in rows[0]]
+            print(f"{driver:8}{len(rows):>9}" + "".join(f"{total:>16}" for total in totals), flush=True)
+            for row in rows:
+                ours, onlooker, aborted, returned, entries, identity, collisions, sumos = row.values()
+                agree = (ours, aborted, entries, collisions) == (onlooker, returned, identity, sumos)
+                disagreeing += not agree
+    print(f"episodes in which any two disagree: {disagreeing}")
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,155 @@
+import math
+import re
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+
+from rail_sumo import config, drivers
+from rail_sumo.config import Config
+from rail_sumo.errors import InputError
+from rail_sumo.policy import Policy, Shape, Whitening
+from rail_sumo.records import KMH, Gaps, HostState, MetaAction
+from rail_sumo.rollout import Task, drive
+
+KEEP, ACCELERATE, DECELERATE, LEFT, RIGHT = MetaAction
+NOTHING = np.empty(0)
+TOP_MPS = 80 / KMH
+FREE = Gaps(math.inf, 0.0, math.inf, 0.0)
+ALL = [True] * 5
+
+
+def leader(gap_m, speed_mps):
+    return Gaps(gap_m, speed_mps, math.inf, 0.0)
+
+
+def env(*, here=FREE, left=FREE, right=FREE, speed_mps=15.0, mask=ALL, changing=False):
+    """What the rule driver asks of an environment."""
+    host = HostState(speed_mps, 2, 0, 4, 1000.0, 3.2)
+    return SimpleNamespace(
+        surroundings=lambda: (host, here, left, right), action_masks=lambda: mask, is_changing_lane=changing
+    )
+
+
+def rule(**situation):
+    return drivers.Rule(config.Adas()).decide(NOTHING, env(**situation))
+
+
+def test_the_rule_driver_speeds_up_when_free_until_half_a_metre_a_second_below_the_top():
+    assert rule(speed_mps=TOP_MPS - 0.6) == ACCELERATE
+    assert rule(speed_mps=TOP_MPS - 0.4) == KEEP
+
+
+def test_the_rule_driver_does_not_speed_up_towards_a_slow_leader_it_cannot_pass():
+    # 10 m/s over the next 6 s, and the 30 m of gap: 15 m/s on average.
+    blocked = [True, True, True, False, False]
+    assert rule(here=leader(30.0, 10.0), speed_mps=14.4, mask=blocked) == ACCELERATE
+    assert rule(here=leader(30.0, 10.0), speed_mps=14.6, mask=blocked) == KEEP
+    assert rule(here=leader(-1.0, 15.0), speed_mps=14.6, mask=blocked) == KEEP  # alongside: no gap to use up
+
+
+@pytest.mark.parametrize(("side", "action"), [("left", LEFT), ("right", RIGHT)])
+def test_the_rule_driver_changes_for_a_gain_of_more_than_1_mps(side, action):
+    other = "right" if side == "left" else "left"
+    here = leader(30.0, 10.0)  # worth 15 m/s
+    assert rule(here=here, speed_mps=15.0, **{side: leader(30.0, 11.1), other: here}) == action  # 16.1
+    assert rule(here=here, speed_mps=15.0, **{side: leader(30.0, 10.9), other: here}) == KEEP  # 15.9
+
+
+def test_the_rule_driver_takes_the_better_of_two_sides():
+    here, better, worse = leader(12.0, 10.0), leader(60.0, 11.0), leader(30.0, 14.0)  # 12, 21, 19 m/s
+    assert rule(here=here, left=better, right=worse) == LEFT
+    assert rule(here=here, left=worse, right=better) == RIGHT
+
+
+def test_beyond_its_top_speed_a_lane_is_worth_no_more():
+    # Both lanes let the host drive at its top speed: a change gains nothing.
+    assert rule(here=leader(80.0, 20.0), left=FREE, speed_mps=TOP_MPS) == KEEP
+
+
+def test_the_rule_driver_never_decides_what_the_mask_forbids():
+    here = leader(12.0, 10.0)
+    assert rule(here=here, right=leader(12.0, 10.5), mask=[True, True, True, False, True], speed_mps=12.0) == KEEP
+    assert rule(here=here, mask=[True, True, True, False, True]) == RIGHT
+
+
+def test_the_rule_driver_starts_no_change_during_one():
+    assert rule(here=leader(12.0, 10.0), speed_mps=12.0, changing=True) == KEEP
+
+
+def test_the_expert_takes_the_best_allowed_action():
+    # Two tanh units of two features, then five outputs; by hand.
+    first = (np.array([[1.0, 0.0], [0.0, -1.0]]), np.array([0.0, 0.5]))
+    second = (np.array([[1.0, 0.0], [0.0, 1.0], [1.0, 1.0], [2.0, 0.0], [0.0, 0.0]]), np.array([0, 0, 0, 0, 0.1]))
+    expert = drivers.Expert([first, second])
+    observation = np.array([1.0, 1.0])  # tanh(1) = 0.762, tanh(-0.5) = -0.462: 0.76, -0.46, 0.30, 1.52, 0.1
+    assert expert.decide(observation, env()) == LEFT
+    assert expert.decide(observation, env(mask=[True, True, True, False, True])) == KEEP
+    assert expert.decide(observation, env(mask=[False, True, True, False, True])) == DECELERATE
+    assert expert.decide(observation, env(mask=[False, True, False, False, False])) == ACCELERATE
+
+
+def test_a_learned_driver_decides_as_its_policy_and_sees_no_environment():
+    rng = np.random.default_rng(0)
+    policy = Policy(rng.normal(size=5 * 9), Shape(8, None), Whitening(np.zeros(8), np.ones(8)))
+    observations = rng.normal(size=(50, 8))
+    decided = [drivers.Learned(policy).decide(observation, None) for observation in observations]
+    assert decided == [policy(observation) for observation in observations]
+    assert len(set(decided)) == 5
+
+
+def decisions(seed, number=5000):
+    driver = drivers.by_name("random", Config(), seed)
+    return np.array([driver.decide(NOTHING, None) for _ in range(number)])
+
+
+def test_the_random_driver_decides_everything_equally_often_and_remembers_nothing():
+    counts = np.bincount(decisions(1), minlength=5)
+    assert counts == pytest.approx(np.full(5, 1000), abs=4 * math.sqrt(5000 * 0.2 * 0.8))
+    pairs = np.bincount(5 * decisions(1)[:-1] + decisions(1)[1:], minlength=25)
+    assert pairs == pytest.approx(np.full(25, 200), abs=4.5 * math.sqrt(200))
+
+
+def test_the_random_driver_is_decided_by_its_seed():
+    assert np.array_equal(decisions(1, 100), decisions(1, 100))
+    assert not np.array_equal(decisions(1, 100), decisions(2, 100))
+
+
+def test_the_random_driver_does_not_draw_from_the_traffics_stream():
+    # The environment draws its traffic from default_rng(seed); the same numbers would tie decisions to it.
+    traffic = np.random.default_rng(1).integers(5, size=100)
+    assert not np.array_equal(decisions(1, 100), traffic)
+
+
+def test_keeping_is_all_that_keep_does_and_all_that_sumos_own_driver_is_told():
+    for name in ("keep", "sumo"):
+        assert drivers.by_name(name, Config(), 0).decide(NOTHING, env()) == KEEP
+
+
+def test_an_unknown_driver_gets_a_suggestion():
+    message = "driver 'expret' not found; did you mean 'expert'? (available: expert, keep, random, rule, sumo)"
+    with pytest.raises(InputError, match=f"^{re.escape(message)}$"):
+        drivers.by_name("expret", Config(), 0)
+
+
+def test_on_the_same_traffic_the_rule_driver_is_always_faster_than_keeping_and_random_is_not():
+    episode = config.Episode(course_m=math.inf, duration_s=120.0)
+    slow = config.Traffic(speed_low_kmh=40.0)
+    speeds = {
+        name: np.array(
+            [drive(Task(name, Config(episode=episode, traffic=slow), seed)).speed_mps.mean() for seed in range(8)]
+        )
+        for name in ("rule", "keep", "random")
+    }
+    assert (speeds["rule"] > speeds["keep"]).all()  # by chance once in 256
+    assert not (speeds["random"] > speeds["keep"]).all()
+
+
+def test_the_expert_refuses_to_drive_by_other_senses_than_it_was_trained_on():
+    message = (
+        "the expert was trained on 48 features, the configuration's lidar and observation give 26; "
+        "use the default ones or train an expert with 'rail-sumo expert train'"
+    )
+    odd = Config(lidar=config.Lidar(n_rays=12), observation=config.Observation(host_speed=True, lateral_state=True))
+    with pytest.raises(InputError, match=f"^{re.escape(message)}$"):
+        drivers.by_name("expert", odd, 0)
