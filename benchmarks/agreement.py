@@ -1,4 +1,4 @@
-"""Whether our counts are SUMO's: python benchmarks/agreement.py [--episodes 20] [--set section.key=value].
+"""Whether our counts are SUMO's: python benchmarks/agreement.py [--episodes 20] [--set KEY=VALUE].
 
 SUMO writes its own account of every episode, lanechange-output and collision-output; an onlooker notes where the host
 is, sideways, after every step. On a straight road the three must agree:
@@ -46,14 +46,14 @@ class Watched(Simulation):
 
 def excursions(left_m: list[float], lane_m: float) -> list[tuple[int, float]]:
     """(lanes moved by once it settled, farthest from where it began) of each time the host left a lane's centre."""
-    found, begun, farthest = [], left_m[0], 0.0
+    begun, farthest, found = round(left_m[0] / lane_m), 0.0, []  # the road's middle is a lane's centre
     for now in left_m:
-        farthest = max(farthest, abs(now - begun))
-        lanes = (now - left_m[0]) / lane_m
-        if abs(lanes - round(lanes)) < 1e-6 and farthest:
-            found.append((round((now - begun) / lane_m), farthest))
-            begun, farthest = now, 0.0
-    return [*found, (0, -farthest)] if farthest else found
+        lane = now / lane_m
+        farthest = max(farthest, abs(lane - begun) * lane_m)
+        if abs(lane - round(lane)) < 1e-6 and farthest > 1e-6:
+            found.append((round(lane) - begun, farthest))
+            begun, farthest = round(lane), 0.0
+    return [*found, (0, -farthest)] if farthest > 1e-6 else found
 
 
 def episode(task: Task) -> dict[str, int]:

@@ -1,4 +1,4 @@
-"""Whether anybody is touched, whatever is decided: python benchmarks/safety.py [--episodes 100] [--set section.key=value].
+"""Whether anybody is touched, whatever is decided: python benchmarks/safety.py [--episodes 100] [--set KEY=VALUE].
 
 Drives episodes of 300 s on traffic that nothing was tuned on, by the random and the rule driver. An onlooker who knows
 nothing of SUMO's collisions compares the host's rectangle with everybody's after every step of 0.1 s. A contact is one

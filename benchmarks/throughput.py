@@ -62,9 +62,6 @@ FULL = Size(repeats=7, episodes=4, highway_env_s=30, traci_s=30, worker_episodes
 QUICK = Size(repeats=3, episodes=1, highway_env_s=8, traci_s=8, worker_episodes=16)
 
 
-# What is recorded of the loop, so that the very same traffic can be driven without it.
-
-
 @dataclass
 class Recording:
     """Everything that was told to SUMO in one episode, steps included, and where its vehicles were at the end."""
@@ -104,8 +101,8 @@ def record(task: Task) -> Recording:
 
         return mock.patch.object(getattr(libsumo, domain), function, told)
 
-    def start(original: Callable[[list[str]], Any], arguments: list[str]) -> Any:
-        recording.arguments = [argument for argument in arguments if argument != "sumo"]
+    def start(arguments: list[str], original: Callable[[list[str]], Any] = libsumo.start) -> Any:
+        recording.arguments = arguments[1:]  # without the program's name
         return original(arguments)
 
     def close(original: Callable[[], None] = libsumo.close) -> None:
@@ -116,8 +113,7 @@ def record(task: Task) -> Recording:
         for domain in ("vehicle", "vehicletype", "route", "simulation"):
             for function in filter(changes_something, dir(getattr(libsumo, domain))):
                 patches.enter_context(watch(domain, function))
-        for name in ("start", "load"):
-            patches.enter_context(mock.patch.object(libsumo, name, partial(start, getattr(libsumo, name))))
+        patches.enter_context(mock.patch.object(libsumo, "start", start))
         patches.enter_context(mock.patch.object(libsumo, "close", close))
         drive(task)
     return recording
@@ -145,9 +141,6 @@ def replay(recording: Recording) -> float:
     if recording.end and end != recording.end:
         raise RuntimeError("the replay's vehicles did not end where the recorded ones did")
     return seconds
-
-
-# The contenders.
 
 
 def full_loop(tasks: list[Task]) -> float:
@@ -193,7 +186,7 @@ def traci_sumo(arguments: list[str]) -> Iterator[Any]:
     """Start a SUMO process and yield TraCI, connected to it."""
     import traci
 
-    with open(os.devnull, "w", encoding="utf-8") as nowhere, redirect_stdout(nowhere):
+    with Path(os.devnull).open("w") as nowhere, redirect_stdout(nowhere):
         traci.start([str(find_sumo()), *arguments], stdout=subprocess.DEVNULL)
         try:
             yield traci
@@ -247,9 +240,6 @@ def decide(policy: Policy, lidar: Lidar, vehicles: dict[str, tuple[float, ...]])
     return policy(np.concatenate(lidar.scan(x[0], y[0], heading[0], speed[0], boxes)))
 
 
-# Workers.
-
-
 def with_workers(pool: Workers, tasks: list[Task]) -> float:
     """Drive episodes with workers that are up and warm."""
     started = time.perf_counter()
@@ -262,9 +252,6 @@ def memory_mb(pid: int) -> dict[str, float]:
     text = Path(f"/proc/{pid}/smaps_rollup").read_text() + Path(f"/proc/{pid}/status").read_text()
     names = {"RSS": "Rss", "PSS": "Pss", "peak RSS": "VmHWM"}
     return {name: float(re.search(rf"^{key}:\s+(\d+) kB", text, re.M)[1]) / 1024 for name, key in names.items()}
-
-
-# The run.
 
 
 def policy_of(run: Path | None, config: Config) -> LearnedDriver:

@@ -132,6 +132,8 @@ class Search(_Section):
     n_top: Count = 8
     step_size: Positive = 0.05
     noise_std: Positive = 0.05
+    step_decay: Annotated[float, Field(gt=0.0, le=1.0)] = 0.98
+    """The step size shrinks by this factor every iteration; 1 keeps it."""
 
     @model_validator(mode="after")
     def _top(self) -> "Search":

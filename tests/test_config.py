@@ -53,7 +53,17 @@ def sections(model):
     return drawn.map(lambda fields: model(**fields))
 
 
-configs = st.builds(Config, **{name: sections(field.annotation) for name, field in Config.model_fields.items()})
+def consistent(tree):
+    """Some values of one section bound those of another."""
+    slower_kmh = min(tree["expert"].slower_traffic_kmh, 0.5 * tree["traffic"].speed_low_kmh)
+    return tree | {"expert": tree["expert"].model_copy(update={"slower_traffic_kmh": slower_kmh})}
+
+
+configs = (
+    st.fixed_dictionaries({name: sections(field.annotation) for name, field in Config.model_fields.items()})
+    .map(consistent)
+    .map(lambda tree: Config(**tree))
+)
 
 
 @given(configs)
@@ -161,7 +171,10 @@ SEARCH_KEYS = "search.n_directions, search.n_top, search.step_size, search.noise
         ),
         ("[traffic]\nroutes = 'a.rou.xml'", "traffic.routes: Input should be a valid array, got 'a.rou.xml'"),
         ("[traffic]\nroutes = [3]", "traffic.routes.0: Input should be a valid string, got 3"),
-        ("[traffic]\nspeed_low_kmh = 80", "traffic: speed_low_kmh 80.0 is above speed_high_kmh 70.0"),
+        (
+            "[traffic]\nspeed_low_kmh = 80\nspeed_high_kmh = 70",
+            "traffic: speed_low_kmh 80.0 is above speed_high_kmh 70.0",
+        ),
         ("[lidar]\nroad_edges = 1", "lidar.road_edges: Input should be a valid boolean, got 1"),
         ("[lidar]\nn_rays = 0", "lidar.n_rays: Input should be greater than or equal to 1, got 0"),
         ("[lidar]\nmax_range_m = inf", "lidar.max_range_m: Input should be less than or equal to 500, got inf"),
@@ -186,6 +199,10 @@ SEARCH_KEYS = "search.n_directions, search.n_top, search.step_size, search.noise
             "adas.emergency_braking_mps2: Input should be less than or equal to 9, got 9.5",
         ),
         ("[adas]\nacceleration_mps2 = inf", "adas.acceleration_mps2: Input should be a finite number, got inf"),
+        (
+            "[traffic]\nspeed_low_kmh = 50\n[expert]\nslower_traffic_kmh = 50",
+            "expert.slower_traffic_kmh 50.0 must be below traffic.speed_low_kmh 50.0",
+        ),
         ("[search]\nn_top = 17", "search: n_top 17 exceeds n_directions 16"),
         ("[policy]\nlayers = 3", "policy.layers: Input should be 1 or 2, got 3"),
         ("[judge]\nhidden = [100, 0]", "judge.hidden.1: Input should be greater than or equal to 1, got 0"),

@@ -592,7 +592,7 @@ def test_beyond_a_junction_other_lane_numbers_are_no_lane_changes(make, outputs,
 
 def settled_lanes(left_m):
     """What an onlooker sees of the host: the lanes whose centre it settled in, and how far each excursion went."""
-    lanes, farthest = [], []
+    lanes, farthest = [round(left_m[0] / LANE_M)], [0.0]  # a change may be under way in the first step
     for now in np.asarray(left_m) / LANE_M:
         if abs(now - round(now)) < 1e-6:
             lanes.append(round(now))

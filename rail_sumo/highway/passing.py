@@ -24,16 +24,20 @@ class PassCounter:
 
     def update(self, scene: Scene) -> tuple[int, int]:
         """Return how many vehicles the host overtook, and how many overtook it, since the last look."""
+        heading = scene.heading_rad[0]
         east, north = scene.x_m - scene.x_m[0], scene.y_m - scene.y_m[0]
-        along = east * math.cos(scene.heading_rad[0]) + north * math.sin(scene.heading_rad[0])
-        near = np.flatnonzero(east * east + north * north < NEAR_M * NEAR_M)[1:]  # without the host itself
+        along = east * math.cos(heading) + north * math.sin(heading)
+        clear = 0.5 * (scene.length_m + scene.length_m[0])
+        away = np.hypot(east, north)
         ahead: set[str] = set()
         behind: set[str] = set()
         alongside: set[str] = set()
-        for index, distance in zip(near.tolist(), along[near].tolist(), strict=True):
-            clear = 0.5 * (scene.length_m[index] + scene.length_m[0])
-            side = ahead if distance > clear else behind if distance < -clear else alongside
-            side.add(scene.ids[index])
+        rows = zip(scene.ids, along.tolist(), clear.tolist(), away.tolist(), strict=True)
+        next(rows)  # the host itself
+        for name, distance, touching, apart in rows:
+            if apart < NEAR_M:
+                side = ahead if distance > touching else behind if distance < -touching else alongside
+                side.add(name)
         overtakes, overtaken = len(self._ahead & behind), len(self._behind & ahead)
         self._ahead = ahead | (self._ahead & alongside)
         self._behind = behind | (self._behind & alongside)
