@@ -113,7 +113,7 @@ class Policy(_Section):
     """The supervisor's network."""
 
     layers: Literal[1, 2] = 2
-    hidden: Annotated[int, Field(ge=1, le=1024)] = 64
+    hidden: Annotated[int, Field(ge=1, le=1024)] = 32
 
 
 class Cloning(_Section):
@@ -149,9 +149,9 @@ class Judge(_Section):
     learning_rate: Positive = 3e-4
     minibatches: Count = 30
     batch_size: Count = 512
-    gradient_penalty: NonNegative = 0.1
+    gradient_penalty: NonNegative = 0.02
     reward_clip: Positive = 5.0
-    replay_iterations: Count = 1
+    replay_iterations: Count = 3
     """How many iterations' learner trajectories the judge is trained on, the newest included."""
 
 
@@ -161,9 +161,10 @@ class Train(_Section):
     demonstrations: str = "expert"
     """`expert` for the shipped expert's own, or a Parquet file that `rail-sumo expert record` wrote."""
     trajectories: Count = 40
-    iterations: Annotated[int, Field(ge=0)] = 60
-    horizon_s: Positive = 120.0
-    """Length of one training rollout."""
+    iterations: Annotated[int, Field(ge=0)] = 90
+    horizon_s: Positive = 300.0
+    """Length of one training rollout. Much shorter than the demonstrations, and the judge tells young traffic from old
+    instead of the learner from the expert."""
     evaluation_episodes: Count = 16
 
 
