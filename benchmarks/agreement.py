@@ -3,11 +3,10 @@
 SUMO writes its own account of every episode, lanechange-output and collision-output; an onlooker notes where the host
 is, sideways, after every step. On a straight road the three must agree:
 
-    host's entries in lanechange-output = lane changes + 2 x aborted ones that had crossed over + 1 if the episode's end
-    cut one short that had
+    host's entries in lanechange-output = lane changes + 2 x aborted ones that had crossed over
 
-since an aborted change that had become a vehicle of the next lane is two entries, there and back. With SUMO's own
-driver every entry is a lane change.
+since an aborted change that had become a vehicle of the next lane is two entries, there and back; one that the
+episode's end cuts short adds those it had made by then. With SUMO's own driver every entry is a lane change.
 """
 
 import argparse
@@ -44,16 +43,23 @@ class Watched(Simulation):
         return command.steps
 
 
-def excursions(left_m: list[float], lane_m: float) -> list[tuple[int, float]]:
-    """(lanes moved by once it settled, farthest from where it began) of each time the host left a lane's centre."""
-    begun, farthest, found = round(left_m[0] / lane_m), 0.0, []  # the road's middle is a lane's centre
+def account(left_m: list[float], lane_m: float) -> tuple[int, int, int]:
+    """(lane changes, aborted ones, entries SUMO must have made) of a host that was here sideways after each step."""
+    lane, offset, farthest = round(left_m[0] / lane_m), 0.0, 0.0  # the road's middle is a lane's centre
+    changes = aborted = entries = 0
     for now in left_m:
-        lane = now / lane_m
-        farthest = max(farthest, abs(lane - begun) * lane_m)
-        if abs(lane - round(lane)) < 1e-6 and farthest > 1e-6:
-            found.append((round(lane) - begun, farthest))
-            begun, farthest = round(lane), 0.0
-    return [*found, (0, -farthest)] if farthest > 1e-6 else found
+        offset = abs(now - lane * lane_m)
+        farthest = max(farthest, offset)
+        settled = round(now / lane_m)
+        if abs(now - settled * lane_m) < 1e-6 and farthest > 1e-6:
+            aborted += settled == lane
+            changes += abs(settled - lane)
+            entries += abs(settled - lane) or 2 * (farthest >= 0.5 * lane_m - LATE_LATERAL_M - 1e-9)
+            lane, offset, farthest = settled, 0.0, 0.0
+    if farthest >= 0.5 * lane_m - LATE_LATERAL_M - 1e-9:
+        is_back = offset < farthest and offset <= 0.5 * lane_m + LATE_LATERAL_M + 1e-9
+        entries += 2 if is_back else 1
+    return changes, aborted, entries
 
 
 def episode(task: Task) -> dict[str, int]:
@@ -65,18 +71,14 @@ def episode(task: Task) -> dict[str, int]:
         with mock.patch.object(env, "Simulation", watched):
             driven = drive(task)
         entries = {kind: list(ElementTree.parse(file).getroot()) for kind, file in files.items()}
-    crossing_m = 0.5 * 3.2 - LATE_LATERAL_M - 1e-9
-    seen = excursions(left_m, 3.2)
-    changes = sum(abs(lanes) for lanes, _ in seen)
-    back = [far for lanes, far in seen if lanes == 0 and far > 0]
-    cut_short = sum(-far >= crossing_m for _, far in seen if far < 0)
+    changes, aborted, expected = account(left_m, 3.2)
     return {
         "lane changes": driven.lane_changes,
         "of an onlooker": changes,
         "aborted": driven.aborted_lane_changes,
-        "of an onlooker ": len(back),
+        "of an onlooker ": aborted,
         "SUMO's entries": sum(entry.get("id") == HOST for entry in entries["lanechange"]),
-        "identity": changes + 2 * sum(far >= crossing_m for far in back) + cut_short,
+        "identity": expected,
         "collisions": driven.collisions + driven.struck,
         "SUMO's": sum(HOST in (entry.get("collider"), entry.get("victim")) for entry in entries["collision"]),
     }

@@ -11,6 +11,7 @@ import tomli_w
 from pydantic import BaseModel, ConfigDict, Field, ValidationError, model_validator
 
 from rail_sumo.errors import InputError
+from rail_sumo.records import SECONDS_PER_STEP
 
 Positive = Annotated[float, Field(gt=0.0, allow_inf_nan=False)]
 NonNegative = Annotated[float, Field(ge=0.0, allow_inf_nan=False)]
@@ -35,7 +36,16 @@ class Episode(_Section):
 
     course_m: Limit = 7222.0
     duration_s: Limit = math.inf
-    decision_period_s: Annotated[float, Field(ge=0.1, le=10.0)] = 1.0
+    decision_period_s: Annotated[float, Field(ge=SECONDS_PER_STEP, le=2.0)] = 1.0
+
+    @model_validator(mode="after")
+    def _whole_steps(self) -> "Episode":
+        steps = self.decision_period_s / SECONDS_PER_STEP
+        if abs(steps - round(steps)) > 1e-6:
+            raise ValueError(
+                f"decision_period_s must be a whole number of steps of {SECONDS_PER_STEP} s, got {self.decision_period_s}"
+            )
+        return self
 
     @model_validator(mode="after")
     def _ends(self) -> "Episode":
@@ -269,13 +279,13 @@ def _apply(tree: dict[str, Any], override: str) -> None:
 
 def _explain(error: ValidationError) -> str:
     first = error.errors()[0]
-    location = ".".join(str(part) for part in first["loc"]) or "configuration"
+    location = ".".join(str(part) for part in first["loc"])
     more = f" (and {error.error_count() - 1} more)" if error.error_count() > 1 else ""
     if first["type"] == "extra_forbidden":
         return f"configuration: unknown key '{location}'{_suggest(first['loc'])}{more}"
     message = first["msg"].removeprefix("Value error, ")
     given = "" if isinstance(first["input"], dict) else f", got {first['input']!r}"
-    return f"configuration: {location}: {message}{given}{more}"
+    return ": ".join(filter(None, ["configuration", location, f"{message}{given}{more}"]))
 
 
 def _suggest(location: tuple[int | str, ...]) -> str:

@@ -118,7 +118,7 @@ def by_name(name: str, config: Config, seed: int) -> Driver:
         case "keep" | "sumo":
             return Keep()
         case "random":
-            return Random(np.random.default_rng(seed))
+            return Random(np.random.default_rng([seed, 1]))  # not the stream that the traffic draws from
         case "rule":
             return Rule(config.adas)
         case "expert":

@@ -162,11 +162,18 @@ def test_a_lane_change_takes_19_steps_at_1_7_mps_and_ends_in_the_next_lanes_cent
     assert road.counts == (1, 0, 0)
 
 
-def test_the_host_crosses_over_between_a_quarter_metre_before_the_border_and_the_border(road):
+def test_the_host_crosses_over_at_most_a_quarter_metre_before_the_border_there_and_back(road):
+    beyond_the_border = []
     road.decide(LEFT)
-    passed = road.finish()
-    first = next(index for index, command in enumerate(road.commands) if command.cross)
-    assert LANE_M / 2 - 0.25 <= passed[first] - 2 * LANE_M < LANE_M / 2
+    for step in range(30):
+        if step == 15:
+            road.decide(RIGHT)
+        road.step()
+        if road.commands[-1].cross:
+            beyond_the_border.append(road.left_m - 2.5 * LANE_M)
+    there, back = beyond_the_border
+    assert -0.25 <= there < 0.0
+    assert 0.0 < back <= 0.25
 
 
 def test_what_the_layer_says_of_a_change_under_way(road):
@@ -365,9 +372,10 @@ def test_300_m_before_the_end_of_a_lane_the_host_leaves_it_whatever_is_decided(a
     assert adas.lateral_m == pytest.approx(STRIDE_M)
 
 
-def test_a_lane_that_ends_is_left_towards_the_nearer_one_that_leads_on(adas):
-    adas.decide(KEEP, at(lane=3, to_edge_end_m=200.0, ending_lanes=(2, 3, 4)), free)
-    assert adas.side == -1
+@pytest.mark.parametrize(("lane", "side"), [(1, -1), (2, 1)])
+def test_a_lane_that_ends_is_left_towards_the_nearer_one_that_leads_on(adas, lane, side):
+    adas.decide(KEEP, at(lane=lane, to_edge_end_m=200.0, ending_lanes=(1, 2)), free)
+    assert adas.side == side
 
 
 def test_the_end_of_a_lane_opens_no_gate(adas):

@@ -45,7 +45,7 @@ def test_the_rule_driver_does_not_speed_up_towards_a_slow_leader_it_cannot_pass(
     blocked = [True, True, True, False, False]
     assert rule(here=leader(30.0, 10.0), speed_mps=14.4, mask=blocked) == ACCELERATE
     assert rule(here=leader(30.0, 10.0), speed_mps=14.6, mask=blocked) == KEEP
-    assert rule(here=leader(-1.0, 15.0), speed_mps=14.6, mask=blocked) == KEEP  # alongside: no gap to use up
+    assert rule(here=leader(-5.0, 15.0), speed_mps=14.4, mask=blocked) == ACCELERATE  # alongside: 15 m/s, not less
 
 
 @pytest.mark.parametrize(("side", "action"), [("left", LEFT), ("right", RIGHT)])

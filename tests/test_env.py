@@ -3,7 +3,6 @@ import functools
 import math
 import signal
 import xml.etree.ElementTree as ElementTree
-from itertools import pairwise
 
 import gymnasium
 import libsumo
@@ -399,7 +398,7 @@ def short_road(tmp_path):
     return write
 
 
-@pytest.mark.parametrize("decision_period_s", [0.5, 1.0, 2.0, 4.5, 10.0])
+@pytest.mark.parametrize("decision_period_s", [0.5, 1.0, 2.0])
 @pytest.mark.parametrize("max_speed_kmh", [80.0, 130.0])
 def test_the_road_ends_the_episode_before_the_host_runs_off_it(make, short_road, decision_period_s, max_speed_kmh):
     config = world(
@@ -430,7 +429,7 @@ def test_on_a_ring_the_course_is_driven_in_laps(make):
     assert 7222.0 <= driven.speed_mps[1:].sum() * 0.1 < 7222.0 + 80 / KMH
 
 
-@pytest.mark.parametrize("decision_period_s", [1.0, 10.0])
+@pytest.mark.parametrize("decision_period_s", [1.0, 2.0])
 @pytest.mark.parametrize("course_m", [500.0, 530.0, 600.0])
 def test_on_a_ring_the_road_does_not_end_with_the_course(make, course_m, decision_period_s):
     config = world(
@@ -590,33 +589,34 @@ def test_beyond_a_junction_other_lane_numbers_are_no_lane_changes(make, outputs,
 # Agreement with an onlooker, and with SUMO's own account.
 
 
-def settled_lanes(left_m):
-    """What an onlooker sees of the host: the lanes whose centre it settled in, and how far each excursion went."""
-    lanes, farthest = [round(left_m[0] / LANE_M)], [0.0]  # a change may be under way in the first step
-    for now in np.asarray(left_m) / LANE_M:
-        if abs(now - round(now)) < 1e-6:
-            lanes.append(round(now))
-            farthest.append(0.0)
-        else:
-            farthest[-1] = max(farthest[-1], abs(now - lanes[-1]))
-    return lanes, farthest
+LATE_M = 0.25
+"""How far before the border the host becomes a vehicle of the next lane, there and back."""
 
 
-def lane_change_identity(left_m):
-    """(lane changes, aborted ones, changes of lane that SUMO must have written down).
+def onlooker_account(left_m):
+    """(lane changes, aborted ones, entries that SUMO must have made) of a host that was here sideways after each step.
 
-    The host crosses over 0.25 m before the border. A completed change is one entry for SUMO; an aborted one is two if
-    it had crossed, there and back, and none otherwise; one that the episode's end cuts short is one if it had crossed.
+    A completed change is one entry for SUMO. An aborted one is two if it had crossed over, there and back, and none
+    otherwise; one that the episode's end cuts short is as many as it had made by then.
     """
-    crossed_at = (LANE_M / 2 - 0.25) / LANE_M - 1e-9
-    lanes, farthest = settled_lanes(left_m)
-    changes = sum(one != other for one, other in pairwise(lanes))
-    excursions = [
-        (far, one == other) for far, (one, other) in zip(farthest, pairwise(lanes), strict=False) if far > 0.0
-    ]
-    aborted = [far for far, returned in excursions if returned]
-    cut_short = farthest[-1] >= crossed_at
-    return changes, len(aborted), changes + 2 * sum(far >= crossed_at for far in aborted) + cut_short
+    lane, offset, farthest = round(left_m[0] / LANE_M), 0.0, 0.0
+    changes = aborted = entries = 0
+    for now in left_m:
+        offset = abs(now - lane * LANE_M)
+        farthest = max(farthest, offset)
+        settled = round(now / LANE_M)
+        if abs(now - settled * LANE_M) < 1e-6 and farthest > 1e-6:
+            if settled == lane:
+                aborted += 1
+                entries += 2 * (farthest >= LANE_M / 2 - LATE_M - 1e-9)
+            else:
+                changes += 1
+                entries += 1
+            lane, offset, farthest = settled, 0.0, 0.0
+    if farthest >= LANE_M / 2 - LATE_M - 1e-9:
+        is_back = offset < farthest and offset <= LANE_M / 2 + LATE_M + 1e-9
+        entries += 2 if is_back else 1
+    return changes, aborted, entries
 
 
 @pytest.mark.parametrize("decision_period_s", [0.3, 1.0])
@@ -626,7 +626,7 @@ def test_lane_changes_are_those_of_an_onlooker_and_of_sumos_own_output(make, out
     driven = drive(env, at_random(seed), seed=seed)
     env.close()
     left_m = [scene.y_m[0] for scene in Watched.latest.scenes]
-    changes, aborted, entries = lane_change_identity(left_m)
+    changes, aborted, entries = onlooker_account(left_m)
     assert (driven.lane_changes, driven.aborted_lane_changes) == (changes, aborted)
     assert changes > 5
     assert aborted > 0
@@ -666,7 +666,7 @@ def onlooker_passes(scenes):
     return overtakes, overtaken
 
 
-@pytest.mark.parametrize("decision_period_s", [0.5, 1.0, 2.0, 5.0, 10.0])
+@pytest.mark.parametrize("decision_period_s", [0.5, 1.0, 2.0])
 @pytest.mark.parametrize("action", [ACCELERATE, DECELERATE])
 def test_overtakes_are_those_of_an_onlooker(make, watched, decision_period_s, action):
     env = make(world(episode={"duration_s": 300.0, "decision_period_s": decision_period_s}))

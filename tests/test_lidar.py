@@ -127,20 +127,21 @@ def test_a_guard_rail_ends_where_it_ends():
     assert distance[[1, 2, 3]] == pytest.approx([5 * math.sqrt(2), RANGE_M, 5 * math.sqrt(2)])
 
 
+def rail_distance(x, y, angle, rail):
+    """How far a ray runs to a line segment; inf if it misses."""
+    start, end = np.reshape(rail, (2, 2))
+    # (x, y) + t * direction = start + u * (end - start)
+    t, u = np.linalg.solve(np.column_stack([(math.cos(angle), math.sin(angle)), start - end]), start - (x, y))
+    return t if t >= 0 and 0 <= u <= 1 else math.inf
+
+
 def polygon_distance(x, y, angle, row, grown):
     """How far a ray runs to a rotated rectangle, by crossing it with each of the four sides; inf if it misses."""
     centre_x, centre_y, heading, _, length, width = row
     half = np.array([length / 2 + grown, width / 2 + grown])
     turn = np.array([[math.cos(heading), -math.sin(heading)], [math.sin(heading), math.cos(heading)]])
     corners = [np.array([centre_x, centre_y]) + turn @ (half * sign) for sign in ((1, 1), (-1, 1), (-1, -1), (1, -1))]
-    direction = np.array([math.cos(angle), math.sin(angle)])
-    hits = []
-    for start, end in pairwise([*corners, corners[0]]):
-        # x + t * direction = start + u * (end - start)
-        t, u = np.linalg.solve(np.column_stack([direction, start - end]), start - (x, y))
-        if t >= 0 and 0 <= u <= 1:
-            hits.append(t)
-    return min(hits, default=math.inf)
+    return min(rail_distance(x, y, angle, (start, end)) for start, end in pairwise([*corners, corners[0]]))
 
 
 @given(seeds)
@@ -186,6 +187,20 @@ def test_turn_the_world_and_nothing_changes(seed, turned):
     rows, rails = some_boxes(rng, 8), rng.uniform(-60, 60, (2, 4))
     for plain, after in zip(scan_of(rng, rows, rails), scan_of(rng, rows, rails, turned=turned), strict=True):
         assert after == pytest.approx(plain, abs=1e-6)
+
+
+@given(seeds)
+def test_wherever_a_lidar_goes_it_meets_the_rails_that_are_in_reach_there(seed):
+    rng = np.random.default_rng(seed)
+    rails = rng.uniform(-400, 400, (8, 4))
+    lidar = Lidar(6, RANGE_M, rails)
+    for x_m, y_m in rng.uniform(-300, 300, (8, 2)):
+        distance, _ = lidar.scan(x_m, y_m, 0.3, 20.0, boxes())
+        expected = [
+            min(RANGE_M, *(rail_distance(x_m, y_m, 0.3 + 2 * math.pi * ray / 6, rail) for rail in rails))
+            for ray in range(6)
+        ]
+        assert distance == pytest.approx(expected, abs=1e-6)
 
 
 @given(seeds)

@@ -214,7 +214,7 @@ class HandsOff:
     def command(self, host: HostState, gaps: Callable[[int], Gaps], *, steps: int) -> Command:
         """Return one step of SUMO's own driving."""
         last, self._last = self._last, host
-        same_edge = last is not None and host.to_edge_end_m <= last.to_edge_end_m
+        same_edge = last is not None and 0.0 < host.to_edge_end_m <= last.to_edge_end_m  # 0 on a junction
         self.changing_lane = last is not None and same_edge and host.lane != last.lane
         self.lane_changes += self.changing_lane
         return Command(SUMO_DECIDES)

@@ -53,12 +53,13 @@ class HighwayEnv(gymnasium.Env[Floats, np.int64]):
         lidar = self.config.lidar
         self._lidar = Lidar(lidar.n_rays, lidar.max_range_m, self._road.boundaries if lidar.road_edges else None)
         self._layout = Layout(lidar, self.config.observation)
-        self.observation_space = spaces.Box(-math.inf, math.inf, (self._layout.n_features,), np.float64)
+        self.observation_space = spaces.Box(*self._layout.bounds, dtype=np.float64)
         self.action_space = spaces.Discrete(len(MetaAction))
         self._period_steps = round(self.config.episode.decision_period_s / SECONDS_PER_STEP)
         duration_steps = self.config.episode.duration_s / SECONDS_PER_STEP
         self._duration_steps = sys.maxsize if math.isinf(duration_steps) else math.ceil(duration_steps - 1e-6)
         self._simulation: Simulation | None = None
+        self._end: EndReason | None = None
 
     def reset(self, *, seed: int | None = None, options: dict[str, Any] | None = None) -> tuple[Floats, dict[str, Any]]:
         """Begin an episode; the same seed gives the same traffic."""
@@ -72,7 +73,7 @@ class HighwayEnv(gymnasium.Env[Floats, np.int64]):
         self._observations: list[Floats] = []
         self._actions: list[int] = []
         self._lane_changing: list[bool] = []
-        self._end: EndReason | None = None
+        self._end = None
         self._open(np.random.default_rng(self._seed))
         return self._look(0), {}
 
@@ -97,7 +98,8 @@ class HighwayEnv(gymnasium.Env[Floats, np.int64]):
         lane = edge.first_lane + int(rng.integers(edge.n_lanes))
         episode = self.config.episode
         farthest_m = min(episode.course_m, episode.duration_s * adas.max_speed_kmh / KMH)
-        edges = self._road.laps(place[0], place[1] + farthest_m + MARGIN_M)
+        overrun_m = MARGIN_M + episode.decision_period_s * adas.max_speed_kmh / KMH
+        edges = self._road.laps(place[0], place[1] + farthest_m + overrun_m)
         if self._demand:
             simulation.run_without_host(traffic.warm_up_s)
         simulation.add_host(edges, lane=lane, front_m=place[1], speed_mps=adas.start_speed_kmh / KMH)
@@ -107,13 +109,14 @@ class HighwayEnv(gymnasium.Env[Floats, np.int64]):
         simulation.wait_for_host()
         if self._hands_off:
             simulation.hand_over()
-        self._road_end_m = math.inf if self._road.is_loop else self._road.length_m - start_m - MARGIN_M
+        self._road_end_m = math.inf if self._road.is_loop else self._road.length_m - start_m - overrun_m
 
     def step(self, action: int | np.int64) -> tuple[Floats, float, bool, bool, dict[str, Any]]:
         """Take one decision and drive until the next falls due."""
+        if self._simulation is None or self._end is not None:
+            raise RuntimeError("the episode is over; call reset()")
         before = (self._overtakes, self._overtaken, self._adas.refused_decisions)
         observation, driven = self.drive(int(action))
-        assert self._simulation is not None
         earned = reward(
             np.array(self._simulation.speeds_mps[-driven:]),
             np.array(self._lane_changing[-driven:]),
@@ -128,9 +131,10 @@ class HighwayEnv(gymnasium.Env[Floats, np.int64]):
 
     def drive(self, action: int) -> tuple[Floats, int]:
         """Take one decision and drive until the next falls due; returns the next observation and the steps driven."""
-        simulation, adas = self._simulation, self._adas
+        simulation = self._simulation
         if simulation is None or self._end is not None:
             raise RuntimeError("the episode is over; call reset()")
+        adas = self._adas
         due = min(self._period_steps, self._duration_steps - len(self._lane_changing))
         self._observations.append(self._observation)
         self._actions.append(action)

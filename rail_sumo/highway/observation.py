@@ -7,6 +7,9 @@ import numpy as np
 from rail_sumo import config
 from rail_sumo.records import Floats
 
+UNREACHED = 200.0
+"""Beyond any speed, relative speed (m/s) or lateral offset (m) on a road."""
+
 
 def feature_names(lidar: config.Lidar, observation: config.Observation) -> list[str]:
     """Return the name of every feature, units included, oldest frame last."""
@@ -20,11 +23,19 @@ def feature_names(lidar: config.Lidar, observation: config.Observation) -> list[
     return [name + age for age in ages for name in frame]
 
 
+def _bounds(lidar: config.Lidar, observation: config.Observation) -> tuple[Floats, Floats]:
+    """Return the lowest and highest value of every feature: ranges for distances, what no car reaches for the rest."""
+    names = feature_names(lidar, observation)
+    is_distance = np.array([name.startswith("distance") for name in names])
+    return np.where(is_distance, 0.0, -UNREACHED), np.where(is_distance, lidar.max_range_m, UNREACHED)
+
+
 class Layout:
-    """Builds observations of shape (len(feature_names),); the first of an episode fills every frame."""
+    """Builds observations of shape (len(feature_names),), within `bounds`; an episode's first fills every frame."""
 
     def __init__(self, lidar: config.Lidar, observation: config.Observation) -> None:
         self.n_features = len(feature_names(lidar, observation))
+        self.bounds = _bounds(lidar, observation)
         self._observation = observation
         self._frames: deque[Floats] = deque(maxlen=observation.frames)
 
