@@ -195,6 +195,10 @@ POLICY_KEYS = "policy.layers, policy.hidden"
             "episode: course_m and duration_s are both inf: the episode would never end; set one of them",
         ),
         (
+            "[episode]\ndecision_period_s = 2.1",
+            "episode.decision_period_s: Input should be less than or equal to 2, got 2.1",
+        ),
+        (
             "[episode]\ndecision_period_s = 0.05",
             "episode.decision_period_s: Input should be greater than or equal to 0.1, got 0.05",
         ),

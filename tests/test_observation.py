@@ -81,3 +81,11 @@ def test_n_features_is_the_length_of_what_is_observed():
         observation = config.Observation(host_speed=host_speed, frames=frames)
         layout = Layout(LIDAR, observation)
         assert layout.n_features == len(observe(layout, 0)) == frames * (6 + host_speed)
+
+
+def test_bounds_hold_distances_between_nothing_and_the_range_and_the_rest_within_200():
+    layout = Layout(LIDAR, EVERYTHING)
+    low, high = (dict(zip(feature_names(LIDAR, EVERYTHING), bound.tolist(), strict=True)) for bound in layout.bounds)
+    for name in low:
+        expected = (0.0, LIDAR.max_range_m) if name.startswith("distance") else (-200.0, 200.0)
+        assert (low[name], high[name]) == expected

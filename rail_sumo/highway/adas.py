@@ -149,8 +149,10 @@ class Adas:
 
     def _sideways(self, side: Side, speed: float, host: HostState, gaps: Callable[[int], Gaps]) -> Command:
         """One step of the change under way."""
-        if not self._crossed and not self._reversing and not self._safe(host.speed_mps, gaps(side)):
-            self._reversing = True
+        about_to_cross = self._crossed == self._reversing
+        into = -side if self._crossed else side
+        if about_to_cross and not self._safe(host.speed_mps, gaps(into)):
+            self._reversing = not self._reversing  # the lane the host is a vehicle of is always open to it
         stride = self._config.lateral_speed_mps * SECONDS_PER_STEP
         self._moved = min(max(self._moved + (-stride if self._reversing else stride), 0.0), self._width)
         cross = self._cross(side)

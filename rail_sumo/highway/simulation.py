@@ -89,7 +89,7 @@ class Simulation:
                 *outputs,
             ]
         )
-        Simulation._running = True
+        Simulation._running = self._is_open = True
         self._define_types()
 
     def __enter__(self) -> "Simulation":
@@ -100,9 +100,9 @@ class Simulation:
 
     def close(self) -> None:
         """End the simulation; harmless when it has ended."""
-        if Simulation._running:
+        if self._is_open:
             libsumo.close()
-            Simulation._running = False
+            Simulation._running = self._is_open = False
 
     def _define_types(self) -> None:
         """Give the host car-following that brakes safely and never harder than it may.
