@@ -142,7 +142,7 @@ class Search(_Section):
     n_top: Count = 8
     step_size: Positive = 0.05
     noise_std: Positive = 0.05
-    step_decay: Annotated[float, Field(gt=0.0, le=1.0)] = 0.98
+    step_decay: Annotated[float, Field(gt=0.0, le=1.0)] = 0.99
     """The step size shrinks by this factor every iteration; 1 keeps it."""
 
     @model_validator(mode="after")
@@ -171,8 +171,8 @@ class Train(_Section):
     demonstrations: str = "expert"
     """`expert` for the shipped expert's own, or a Parquet file that `rail-sumo expert record` wrote."""
     trajectories: Count = 40
-    iterations: Annotated[int, Field(ge=0)] = 90
-    horizon_s: Positive = 300.0
+    iterations: Annotated[int, Field(ge=0)] = 120
+    horizon_s: Positive = 200.0
     """Length of one training rollout. Much shorter than the demonstrations, and the judge tells young traffic from old
     instead of the learner from the expert."""
     evaluation_episodes: Count = 16
