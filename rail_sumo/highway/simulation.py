@@ -74,6 +74,7 @@ class Simulation:
         self._edges = {edge.id: edge for edge in road.edges}
         self.speeds_mps: list[float] = []
         self._lateral_m = 0.0
+        self._held: dict[str, int] = {}  # who may not change lanes now, with the lane-change mode to give back
         self.collisions = 0
         self.struck = 0
         self.min_ttc_s = math.inf
@@ -278,6 +279,8 @@ class Simulation:
         """
         vehicle, speeds = libsumo.vehicle, self.speeds_mps
         vehicle.setSpeed(HOST, command.speed_mps)
+        if bool(command.lateral_m) != bool(self._held):
+            self._release() if self._held else self._hold()
         if command.cross:
             vehicle.changeLane(HOST, vehicle.getLaneIndex(HOST) + command.cross, 0.0)
         if command.lateral_m != self._lateral_m:
@@ -296,6 +299,21 @@ class Simulation:
             if libsumo.simulation.getCollidingVehiclesNumber() and self._count_collisions():
                 return driven
         return command.steps
+
+    def _hold(self) -> None:
+        """Keep everyone near from changing lanes while the host does.
+
+        SUMO knows the host in one lane only. Its own drivers would move in beside the part of it that still stands in
+        the lane it has crossed out of.
+        """
+        for name in self.scene().ids[1:]:
+            self._held[name] = libsumo.vehicle.getLaneChangeMode(name)
+            libsumo.vehicle.setLaneChangeMode(name, RESPECT_OTHERS_GAPS)
+
+    def _release(self) -> None:
+        for name in sorted(self._held.keys() & self.on_road()):
+            libsumo.vehicle.setLaneChangeMode(name, self._held[name])
+        self._held = {}
 
     def run_without_host(self, seconds: float) -> None:
         """Let the traffic drive, before the host is watched."""

@@ -79,7 +79,7 @@ def train(config: Config, seed: int, observer: Callable[[int], None] = lambda _:
     """
     expert = config.expert
     episode = config.episode.model_copy(update={"course_m": float("inf"), "duration_s": expert.horizon_s})
-    slowest_kmh = config.traffic.speed_low_kmh - expert.slower_traffic_kmh
+    slowest_kmh = max(config.traffic.speed_low_kmh - expert.slower_traffic_kmh, config.traffic.speed_low_kmh / 2)
     traffic = config.traffic.model_copy(update={"speed_low_kmh": slowest_kmh})
     world = config.model_copy(update={"episode": episode, "traffic": traffic})
     scale = scale_of(config, len(feature_names(config.lidar, config.observation)))
