@@ -43,7 +43,8 @@ class Episode(_Section):
         steps = self.decision_period_s / SECONDS_PER_STEP
         if abs(steps - round(steps)) > 1e-6:
             raise ValueError(
-                f"decision_period_s must be a whole number of steps of {SECONDS_PER_STEP} s, got {self.decision_period_s}"
+                f"decision_period_s must be a whole number of steps of {SECONDS_PER_STEP} s, "
+                f"got {self.decision_period_s}"
             )
         return self
 
@@ -184,7 +185,7 @@ class Expert(_Section):
     decisions: Count = 100_000
     horizon_s: Positive = 300.0
     slower_traffic_kmh: NonNegative = 2.0
-    """It practises among vehicles whose slowest is slower by this than the world's, by half at most: more to overtake."""
+    """It practises among vehicles whose slowest is slower by this than the world's (by half at most)."""
     hidden: tuple[Count, ...] = (128, 128)
     learning_rate: Positive = 4e-4
     """Falls to 0 over the training."""
