@@ -1,4 +1,5 @@
 import resource
+from contextlib import contextmanager
 
 import numpy as np
 import pandas as pd
@@ -111,17 +112,19 @@ def test_a_file_in_the_way_is_one_clear_line(tables, tmp_path):
         report.write(*tables, tmp_path / "file" / "out")
 
 
-@pytest.fixture
+@contextmanager
 def full_disk():
-    """No file of this process may grow beyond 300 bytes."""
+    """No file of this process may grow beyond 300 bytes: not pytest's own output either, so leave it soon."""
     unlimited = resource.getrlimit(resource.RLIMIT_FSIZE)
     resource.setrlimit(resource.RLIMIT_FSIZE, (300, unlimited[1]))
-    yield
-    resource.setrlimit(resource.RLIMIT_FSIZE, unlimited)
+    try:
+        yield
+    finally:
+        resource.setrlimit(resource.RLIMIT_FSIZE, unlimited)
 
 
-def test_a_full_disk_leaves_nothing_behind(tables, tmp_path, full_disk):
-    with pytest.raises(InputError, match=r"cannot write the tables to '.*out': File too large"):
+def test_a_full_disk_leaves_nothing_behind(tables, tmp_path):
+    with full_disk(), pytest.raises(InputError, match=r"cannot write the tables to '.*out': File too large"):
         report.write(*tables, tmp_path / "out")
     assert list(tmp_path.iterdir()) == []
 
