@@ -38,10 +38,10 @@ clean:
 
 $(VENV)/installed: pyproject.toml constraints.txt
 	$(PYTHON) -m venv $(VENV)
-	$(BIN)/python -m pip install -c constraints.txt --upgrade pip
-	$(BIN)/python -m pip install -c constraints.txt --group dev -e .
+	$(BIN)/python -m pip install --quiet -c constraints.txt --upgrade pip
+	$(BIN)/python -m pip install --quiet -c constraints.txt --group dev -e .
 	touch $@
 
 $(VENV)/netconvert: $(VENV)/installed
-	$(BIN)/python -m pip install -c constraints.txt -e ".[networks]"
+	$(BIN)/python -m pip install --quiet -c constraints.txt -e ".[networks]"
 	touch $@
