@@ -12,6 +12,8 @@ NETWORK_SUFFIX = ".net.xml"
 ROUTES_SUFFIX = ".rou.xml"
 MANIFEST = "manifest.json"
 """Names an expert's files with their SHA-256, and tells how it was made."""
+EXPERT_POLICY = "policy.safetensors"
+EXPERT_DEMONSTRATIONS = "demonstrations.parquet"
 
 _PACKAGE = Path(__file__).parent
 

@@ -133,7 +133,7 @@ def load_expert(config: Config, folder: Path | None = None) -> Expert:
     Raises:
         InputError: it is missing or damaged, or senses something else than the configuration says.
     """
-    weights = load_file(assets.expert("policy.safetensors", folder))
+    weights = load_file(assets.expert(assets.EXPERT_POLICY, folder))
     features = len(feature_names(config.lidar, config.observation))
     layers = [(weights[f"{index}.weight"], weights[f"{index}.bias"]) for index in range(len(weights) // 2)]
     trained_on = layers[0][0].shape[1]

@@ -9,16 +9,13 @@ from pathlib import Path
 from safetensors.numpy import save_file
 
 from rail_sumo import report, run
-from rail_sumo.assets import MANIFEST, sha256
+from rail_sumo.assets import EXPERT_DEMONSTRATIONS, EXPERT_POLICY, MANIFEST, sha256
 from rail_sumo.config import Config, dumps
 from rail_sumo.drivers import Expert
 from rail_sumo.errors import InputError
 from rail_sumo.highway.observation import feature_names
 from rail_sumo.records import Floats
-
-POLICY = "policy.safetensors"
-RECIPE = "config.toml"
-DEMONSTRATIONS = "demonstrations.parquet"
+from rail_sumo.run_directory import CONFIG
 
 
 def train(
@@ -62,10 +59,10 @@ def train(
         with tempfile.TemporaryDirectory(dir=out.parent, prefix=f".{out.name}.") as scratch:
             whole = Path(scratch, out.name)
             report.write(*tables, whole)
-            save_file(_tensors(expert), whole / POLICY)
-            (whole / RECIPE).write_text(dumps(config), encoding="utf-8")
+            save_file(_tensors(expert), whole / EXPERT_POLICY)
+            (whole / CONFIG).write_text(dumps(config), encoding="utf-8")
             features = feature_names(config.lidar, config.observation)
-            demonstrations.save(whole / DEMONSTRATIONS, features=features, about=about)
+            demonstrations.save(whole / EXPERT_DEMONSTRATIONS, features=features, about=about)
             (whole / MANIFEST).write_text(_manifest(whole, tables, seed), encoding="utf-8")
             whole.rename(out)
     except OSError as error:

@@ -223,7 +223,7 @@ def _drive(work: str, tasks: list[Task], workers: WorkerCount, observer: Observe
 
 def _demonstrations(config: Config) -> Demonstrations:
     name = config.train.demonstrations
-    path = assets.expert("demonstrations.parquet") if name == "expert" else Path(name)
+    path = assets.expert(assets.EXPERT_DEMONSTRATIONS) if name == "expert" else Path(name)
     features = feature_names(config.lidar, config.observation)
     return Demonstrations.load(path, features=features).take(config.train.trajectories)
 

@@ -103,12 +103,10 @@ class Adas:
             else:
                 self.refused_decisions += 1
         elif (side == self._side) == self._reversing:  # the decision turns the movement round
-            if self._reversing:
-                self.refused_decisions += 1  # a reversed change runs to its end
-            elif self._may_turn_back(host, gaps):
+            if not self._reversing and self._may_turn_back(host, gaps):
                 self._reversing = True
             else:
-                self.refused_decisions += 1
+                self.refused_decisions += 1  # no room to turn back, or turned back already: that runs to its end
 
     def _begin(self, side: Side, host: HostState) -> None:
         self._side, self._width, self._moved = side, host.lane_width_m, 0.0

@@ -113,12 +113,11 @@ class HighwayEnv(gymnasium.Env[Floats, np.int64]):
 
     def step(self, action: int | np.int64) -> tuple[Floats, float, bool, bool, dict[str, Any]]:
         """Take one decision and drive until the next falls due."""
-        if self._simulation is None or self._end is not None:
-            raise RuntimeError("the episode is over; call reset()")
+        simulation = self._under_way()
         before = (self._overtakes, self._overtaken, self._adas.refused_decisions)
         observation, driven = self.drive(int(action))
         earned = reward(
-            np.array(self._simulation.speeds_mps[-driven:]),
+            np.array(simulation.speeds_mps[-driven:]),
             np.array(self._lane_changing[-driven:]),
             self.config.adas,
             overtakes=self._overtakes - before[0],
@@ -131,10 +130,7 @@ class HighwayEnv(gymnasium.Env[Floats, np.int64]):
 
     def drive(self, action: int) -> tuple[Floats, int]:
         """Take one decision and drive until the next falls due; returns the next observation and the steps driven."""
-        simulation = self._simulation
-        if simulation is None or self._end is not None:
-            raise RuntimeError("the episode is over; call reset()")
-        adas = self._adas
+        simulation, adas = self._under_way(), self._adas
         due = min(self._period_steps, self._duration_steps - len(self._lane_changing))
         self._observations.append(self._observation)
         self._actions.append(action)
@@ -152,6 +148,11 @@ class HighwayEnv(gymnasium.Env[Floats, np.int64]):
                 break
             host = simulation.host()
         return self._look(driven), driven
+
+    def _under_way(self) -> Simulation:
+        if self._simulation is None or self._end is not None:
+            raise RuntimeError("the episode is over; call reset()")
+        return self._simulation
 
     def _look(self, driven: int) -> Floats:
         """Sense, let the traffic come and go, and see whether the episode is over."""
