@@ -55,6 +55,9 @@ class HostState:
     to_edge_end_m: float
     """Metres to the end of the edge; no lane can be crossed beyond it. 0 on a junction."""
     lane_width_m: float
+    to_left_m: float
+    """Metres from the centre of its lane to that of the lane to the left; 0 where there is none."""
+    to_right_m: float
     ending_lanes: tuple[int, ...] = ()
     """Lanes of this edge that do not lead on along the course."""
 

@@ -15,7 +15,16 @@ LANE_M = 3.2
 STRIDE_M = 0.17  # 1.7 m/s sideways in a step of 0.1 s
 STEPS_PER_CHANGE = 19  # 3.2 / 0.17 = 18.8
 
-MIDDLE = HostState(speed_mps=20.0, lane=2, rightmost_lane=0, leftmost_lane=4, to_edge_end_m=1000.0, lane_width_m=LANE_M)
+MIDDLE = HostState(
+    speed_mps=20.0,
+    lane=2,
+    rightmost_lane=0,
+    leftmost_lane=4,
+    to_edge_end_m=1000.0,
+    lane_width_m=LANE_M,
+    to_left_m=LANE_M,
+    to_right_m=LANE_M,
+)
 FREE = Gaps(ahead_m=math.inf, ahead_speed_mps=0.0, behind_m=math.inf, behind_speed_mps=0.0)
 CLOSED = dataclasses.replace(FREE, ahead_m=1.0)
 
@@ -504,7 +513,7 @@ def test_hands_off_leaves_the_speed_to_sumo_and_counts_its_lane_changes():
 
 def test_hands_off_does_not_take_new_lane_numbers_beyond_a_junction_for_lane_changes():
     adas = HandsOff()
-    junction = HostState(20.0, 0, 0, 0, to_edge_end_m=0.0, lane_width_m=0.0)
+    junction = HostState(20.0, 0, 0, 0, to_edge_end_m=0.0, lane_width_m=0.0, to_left_m=0.0, to_right_m=0.0)
     for host in (at(lane=2, to_edge_end_m=1.0), junction, at(lane=1, to_edge_end_m=500.0), at(lane=1)):
         adas.command(host, free, steps=1)
     assert adas.lane_changes == 0

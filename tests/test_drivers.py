@@ -7,7 +7,7 @@ import pytest
 
 from rail_sumo import config, drivers
 from rail_sumo.config import Config
-from rail_sumo.errors import InputError
+from rail_sumo.errors import InputError, ObservationError
 from rail_sumo.policy import Policy, Shape, Whitening
 from rail_sumo.records import KMH, Gaps, HostState, MetaAction
 from rail_sumo.rollout import Task, drive
@@ -25,7 +25,7 @@ def leader(gap_m, speed_mps):
 
 def env(*, here=FREE, left=FREE, right=FREE, speed_mps=15.0, mask=ALL, changing=False):
     """What the rule driver asks of an environment."""
-    host = HostState(speed_mps, 2, 0, 4, 1000.0, 3.2)
+    host = HostState(speed_mps, 2, 0, 4, 1000.0, 3.2, 3.2, 3.2)
     return SimpleNamespace(
         surroundings=lambda: (host, here, left, right), action_masks=lambda: mask, is_changing_lane=changing
     )
@@ -147,9 +147,12 @@ def test_on_the_same_traffic_the_rule_driver_is_always_faster_than_keeping_and_r
 
 def test_the_expert_refuses_to_drive_by_other_senses_than_it_was_trained_on():
     message = (
-        "the expert was trained on 48 features, the configuration's lidar and observation give 26; "
-        "use the default ones or train an expert with 'rail-sumo expert train'"
+        "the expert was trained on another observation (48 features) than [lidar] and [observation] give (26); "
+        "use the default ones or train an expert: rail-sumo expert train"
     )
     odd = Config(lidar=config.Lidar(n_rays=12), observation=config.Observation(host_speed=True, lateral_state=True))
-    with pytest.raises(InputError, match=f"^{re.escape(message)}$"):
+    with pytest.raises(ObservationError, match=f"^{re.escape(message)}$"):
         drivers.by_name("expert", odd, 0)
+    as_many = Config(lidar=config.Lidar(n_rays=12), observation=config.Observation(frames=2))
+    with pytest.raises(ObservationError, match=r"another observation \(48 features\) than .* give \(48\)"):
+        drivers.by_name("expert", as_many, 0)

@@ -413,15 +413,6 @@ def test_the_road_ends_the_episode_before_the_host_runs_off_it(make, short_road,
     assert 900.0 - decision_period_s * max_speed_kmh / KMH < travelled_m < 1000.0  # it starts at 200 m
 
 
-def test_a_road_too_short_to_start_on_is_a_users_error(make, short_road):
-    message = (
-        "^network 'short': the course is 150 m long and the host starts at 200 m; "
-        "use a longer course or a smaller traffic.behind_m$"
-    )
-    with pytest.raises(InputError, match=message):
-        make(world(network=short_road(150.0))).reset(seed=1)
-
-
 def test_on_a_ring_the_course_is_driven_in_laps(make):
     config = world(network={"file": "ring5"}, episode={"course_m": 7222.0, "duration_s": math.inf}, traffic=EMPTY)
     driven = drive(make(config), always(ACCELERATE))
@@ -574,6 +565,73 @@ def test_the_host_gets_on_from_a_lane_that_ends_and_over_a_junction(make, watche
         assert driven.lane_changes == (first.y_m[0] == -8.0)
         assert last.y_m[0] == pytest.approx(max(first.y_m[0], -4.8))
     assert set(started) == {-8.0, -4.8, -1.6}
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_the_windows_vehicles_leave_a_lane_that_ends_and_hold_their_speed_under_another_limit(
+    make, watched, tmp_path, seed
+):
+    path = tmp_path / "limits.net.xml"
+    slow_first = MERGE.replace('id="wide_0" index="0" speed="36.11"', 'id="wide_0" index="0" speed="13.89"')
+    path.write_text(slow_first.replace('id="wide_1" index="1" speed="36.11"', 'id="wide_1" index="1" speed="13.89"'))
+    traffic = {"vehicles": 12, "speed_low_kmh": 50.0, "speed_high_kmh": 60.0}
+    env = make(world(network={"file": str(path)}, traffic=traffic, episode={"duration_s": 300.0}))
+    drive(env, always(KEEP), UNSEEN + seed)
+    others = np.concatenate([scene.speed_mps[1:] for scene in watched().scenes])
+    assert others.min() * KMH > 20.0  # nobody waits at the end of the lane
+    assert 55.0 < others.max() * KMH <= 60.01
+
+
+def test_between_lanes_of_unequal_width_the_host_moves_evenly_and_crosses_before_the_border(make, watched, tmp_path):
+    path = tmp_path / "widths.net.xml"
+    path.write_text(MERGE.replace('shape="0,-1.60 996,-1.60"', 'width="4.50" shape="0,-0.95 996,-0.95"'))
+    env = make(world(network={"file": str(path)}, traffic=EMPTY, episode={"duration_s": 40.0}))
+    driven = drive(env, at_random(3))
+    across = np.diff([scene.y_m[0] for scene in watched().scenes])
+    assert driven.lane_changes > 3
+    assert np.abs(across).max() < 0.18  # 1.7 m/s
+
+
+@pytest.mark.parametrize("length_m", [150.0, 250.0, 272.0])
+def test_a_road_too_short_to_drive_on_is_refused_before_anybody_drives(short_road, length_m):
+    message = (
+        f"^network 'short': the course is {length_m:.0f} m long, and the host needs 200 m of it behind its start and "
+        "72 m to spare at the end; use a longer course or a smaller traffic.behind_m$"
+    )
+    with pytest.raises(InputError, match=message):
+        HighwayEnv(world(network=short_road(length_m)))
+
+
+def test_a_demand_that_begins_later_needs_to_be_told_when(make, tmp_path):
+    late = tmp_path / "late.rou.xml"
+    late.write_text(
+        '<routes><flow id="f" begin="25200" end="25500" period="4" departLane="random"><route edges="highway"/></flow>'
+        "</routes>"
+    )
+    with pytest.raises(InputError, match=r"brings nobody onto the road from 0 s to 60 s; set traffic\.begin_s"):
+        drive(make(world(traffic={"routes": (str(late),)})), always(KEEP))
+    env = make(world(traffic={"routes": (str(late),), "begin_s": 25200.0}))
+    env.reset(seed=1)
+    assert len(libsumo.vehicle.getIDList()) > 10
+
+
+def test_ids_of_a_users_demand_do_not_meet_ours(make, tmp_path):
+    plain = tmp_path / "plain.rou.xml"
+    plain.write_text(
+        '<routes><vType id="DEFAULT_VEHTYPE" vClass="truck" carFollowModel="IDM" length="12" width="2.5"/>'
+        '<route id="route0" edges="highway"/><vehicle id="host" route="route0" depart="0"/></routes>'
+    )
+    env = make(world(traffic={"routes": (str(plain),)}))
+    env.reset(seed=1)
+    assert sorted(libsumo.vehicle.getIDList()) == ["host", HOST]
+    assert (env.scene.length_m[0], env.scene.width_m[0]) == (5.0, 1.8)
+
+
+@pytest.mark.parametrize("seed", [0, 2**31, 2**40])
+def test_any_seed_that_is_not_negative_begins_an_episode(make, seed):
+    env = make(world(traffic=EMPTY))
+    env.reset(seed=seed)
+    assert env.trajectory().seed == seed
 
 
 @pytest.mark.parametrize("hands_off", [False, True])

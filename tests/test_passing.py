@@ -56,6 +56,16 @@ def test_ahead_is_along_the_hosts_heading(heading_rad):
     assert passes(20.0, 0.0, -20.0, heading_rad=heading_rad) == (1, 0)
 
 
+@pytest.mark.parametrize("turned_rad", [math.pi, math.pi / 2, -2.0])
+def test_who_drives_another_way_is_neither_passed_nor_passes(turned_rad):
+    def look(metres):
+        seen = scene(car=metres)
+        seen.heading_rad[1] += turned_rad
+        return seen
+
+    assert count(look(20.0), look(0.0), look(-20.0), look(0.0), look(20.0)) == (0, 0)
+
+
 def test_who_stays_alongside_has_passed_nobody():
     # Fully behind begins where the bumpers part: half of both lengths, 5 m.
     assert passes(20.0, 0.0, -4.99) == (0, 0)

@@ -3,6 +3,7 @@ import itertools
 import math
 import re
 import sys
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -66,7 +67,6 @@ def test_the_highway_is_one_straight_edge_between_two_guard_rails(name, lanes, h
     highway = road.load(name)
     (only,) = highway.edges
     assert (only.id, only.length_m, only.n_lanes, only.first_lane, only.ending_lanes) == ("highway", 8200, lanes, 0, ())
-    assert only.speed_limit_mps * 3.6 == pytest.approx(130.0, abs=0.01)
     assert not highway.is_loop
     assert highway.boundaries == pytest.approx(
         np.array([[0, -half_width_m, 8200, -half_width_m], [0, half_width_m, 8200, half_width_m]])
@@ -337,18 +337,26 @@ def test_a_road_is_read_once_and_cannot_be_changed():
 
 
 def test_the_shipped_networks_pass_their_check_without_a_warning():
-    assert [road.check(name).warnings for name in assets.network_names()] == [(), (), ()]
+    assert [list(road.warnings(road.load(name))) for name in assets.network_names()] == [[], [], []]
 
 
-def test_check_warns_of_a_short_course_of_ending_lanes_and_of_narrow_ones(network):
+def test_it_warns_of_ending_lanes_of_short_edges_and_of_narrow_ones(network):
     file = network(
-        edge("a", lanes=3), edge("b", lanes=2, width=2.3, x=(100.0, 200.0)), leads_on("a", "b", [1, 2], to=[0, 1])
+        edge("a", lanes=3), edge("b", lanes=2, width=2.3, x=(100.0, 140.0)), leads_on("a", "b", [1, 2], to=[0, 1])
     )
-    short, ending, narrow = road.check(file).warnings
-    assert "the course is 200 m long, episodes of 7222 m will end at the end of the road" in short
+    ending, short, narrow = road.warnings(road.load(file))
     assert "lane 0 of edge 'a' does not lead on along the course" in ending
+    assert "edge 'b' is 40 m long" in short
     assert "edge 'b' has a lane of 2.30 m" in narrow
-    assert road.check(file, course_m=200.0).warnings == (ending, narrow)
+
+
+def test_a_network_for_driving_on_the_left_is_refused(network, tmp_path):
+    left = tmp_path / "left.net.xml"
+    left.write_text(Path(network(edge("a"))).read_text().replace("<net ", '<net lefthand="true" '))
+    with pytest.raises(
+        InputError, match=r"^network 'left\.net\.xml' is for driving on the left; rail-sumo drives on the"
+    ):
+        road.load(str(left))
 
 
 @given(

@@ -14,7 +14,7 @@ from rail_sumo.records import KMH, Command
 
 START_M = 200.0
 ADAS = config.Adas()
-SLOW = {"speed_low_kmh": 40.0, "speed_high_kmh": 70.0}
+DENSE = {"vehicles": 20, "speed_low_kmh": 40.0, "speed_high_kmh": 70.0}
 
 
 class Window:
@@ -32,6 +32,7 @@ class Window:
             traffic,
             host_s_m=START_M,
             host_lane=2,
+            farthest_m=20_000.0,
             rng=np.random.default_rng(seed),
         )
         self.simulation.wait_for_host()
@@ -52,7 +53,7 @@ class Window:
         return {name: libsumo.vehicle.getLaneIndex(name) for name in self.others()}
 
     def desired_kmh(self, name):
-        return libsumo.vehicle.getSpeedFactor(name) * self.road.edges[0].speed_limit_mps * KMH
+        return libsumo.vehicle.getMaxSpeed(name) * KMH
 
 
 @pytest.fixture
@@ -64,7 +65,7 @@ def window():
         for other in opened:
             other.simulation.close()
         opened.append(
-            Window(config.Traffic(**SLOW | traffic), seed=seed, network=network, host_kmh=host_kmh, outputs=outputs)
+            Window(config.Traffic(**DENSE | traffic), seed=seed, network=network, host_kmh=host_kmh, outputs=outputs)
         )
         return opened[-1]
 

@@ -41,6 +41,7 @@ class Adas:
         self._set_speed = config.start_speed_kmh / KMH
         self._side: Side | None = None  # the side of the change under way, None while keeping the lane
         self._width = 0.0  # lateral distance from lane centre to lane centre of the change under way
+        self._border = 0.0  # ... and to the border between the two lanes
         self._moved = 0.0  # how much of it lies behind the host
         self._crossed = False
         self._reversing = False
@@ -109,7 +110,8 @@ class Adas:
                 self.refused_decisions += 1  # no room to turn back, or turned back already: that runs to its end
 
     def _begin(self, side: Side, host: HostState) -> None:
-        self._side, self._width, self._moved = side, host.lane_width_m, 0.0
+        self._side, self._width, self._moved = side, _across(host, side), 0.0
+        self._border = host.lane_width_m / 2
         self._crossed = self._reversing = False
 
     def _open(self, side: Side, host: HostState, gaps: Callable[[int], Gaps]) -> bool:
@@ -117,10 +119,9 @@ class Adas:
 
         Near the edge's end there is none into a lane that leads off the course, or farther away from it.
         """
-        seconds = host.lane_width_m / self._config.lateral_speed_mps
         if not host.rightmost_lane <= host.lane + side <= host.leftmost_lane:
             return False
-        if host.to_edge_end_m < host.speed_mps * seconds:
+        if host.to_edge_end_m < host.speed_mps * _across(host, side) / self._config.lateral_speed_mps:
             return False
         if host.to_edge_end_m < LEAVE_LANE_M and host.lane + side in host.ending_lanes and side != _way_on(host):
             return False
@@ -165,13 +166,18 @@ class Adas:
 
     def _cross(self, side: Side) -> int:
         """Cross over a little before the border, in either direction of travel."""
-        if not self._crossed and not self._reversing and self._moved >= self._width / 2 - LATE_LATERAL_M:
+        if not self._crossed and not self._reversing and self._moved >= self._border - LATE_LATERAL_M:
             self._crossed = True
             return side
-        if self._crossed and self._reversing and self._moved <= self._width / 2 + LATE_LATERAL_M:
+        if self._crossed and self._reversing and self._moved <= self._border + LATE_LATERAL_M:
             self._crossed = False
             return -side
         return 0
+
+
+def _across(host: HostState, side: Side) -> float:
+    """Return the lateral distance from the centre of the host's lane to that of the next, in metres."""
+    return host.to_left_m if side == LEFT else host.to_right_m
 
 
 def _way_on(host: HostState) -> Side | None:

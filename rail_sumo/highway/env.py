@@ -56,6 +56,14 @@ class HighwayEnv(gymnasium.Env[Floats, np.int64]):
         self.observation_space = spaces.Box(*self._layout.bounds, dtype=np.float64)
         self.action_space = spaces.Discrete(len(MetaAction))
         self._period_steps = round(self.config.episode.decision_period_s / SECONDS_PER_STEP)
+        self._start_m = DEMAND_START_M if self._demand else self.config.traffic.behind_m + MARGIN_M
+        self._overrun_m = MARGIN_M + self.config.episode.decision_period_s * self.config.adas.max_speed_kmh / KMH
+        if self.drivable_m <= 0.0:
+            raise InputError(
+                f"network '{self._road.name}': the course is {self._road.length_m:.0f} m long, and the host needs "
+                f"{self._start_m:.0f} m of it behind its start and {self._overrun_m:.0f} m to spare at the end; use a "
+                f"longer course or a smaller traffic.behind_m"
+            )
         duration_steps = self.config.episode.duration_s / SECONDS_PER_STEP
         self._duration_steps = sys.maxsize if math.isinf(duration_steps) else math.ceil(duration_steps - 1e-6)
         self._simulation: Simulation | None = None
@@ -80,16 +88,12 @@ class HighwayEnv(gymnasium.Env[Floats, np.int64]):
     def _open(self, rng: np.random.Generator) -> None:
         """Put the host and its traffic on the road."""
         traffic, adas = self.config.traffic, self.config.adas
-        start_m = DEMAND_START_M if self._demand else traffic.behind_m + MARGIN_M
-        place = self._road.place(start_m)
-        if place is None:
-            raise InputError(
-                f"network '{self._road.name}': the course is {self._road.length_m:.0f} m long and the host starts at "
-                f"{start_m:.0f} m; use a longer course or a smaller traffic.behind_m"
-            )
+        place = self._road.place(self._start_m)
+        assert place is not None  # or nothing were drivable
         simulation = self._simulation = Simulation(
             self._road,
             routes=self._demand,
+            begin_s=traffic.begin_s if self._demand else 0.0,
             adas=adas,
             seed=self._seed,
             context_m=max(self.config.lidar.max_range_m, NEAR_M) + VEHICLE_M,
@@ -97,19 +101,25 @@ class HighwayEnv(gymnasium.Env[Floats, np.int64]):
         edge = self._road.edges[place[0]]
         lane = edge.first_lane + int(rng.integers(edge.n_lanes))
         episode = self.config.episode
-        farthest_m = min(episode.course_m, episode.duration_s * adas.max_speed_kmh / KMH)
-        overrun_m = MARGIN_M + episode.decision_period_s * adas.max_speed_kmh / KMH
-        edges = self._road.laps(place[0], place[1] + farthest_m + overrun_m)
+        farthest_m = min(episode.course_m, episode.duration_s * adas.max_speed_kmh / KMH) + self._overrun_m
+        edges = self._road.laps(place[0], place[1] + farthest_m)
         if self._demand:
             simulation.run_without_host(traffic.warm_up_s)
+            if not simulation.on_road():
+                raise InputError(
+                    f"the demand brings nobody onto the road from {traffic.begin_s:.0f} s to "
+                    f"{traffic.begin_s + traffic.warm_up_s:.0f} s; set traffic.begin_s to when it does, or lengthen "
+                    f"traffic.warm_up_s"
+                )
         simulation.add_host(edges, lane=lane, front_m=place[1], speed_mps=adas.start_speed_kmh / KMH)
         self._traffic: Traffic = Demand()
         if not self._demand:
-            self._traffic = MovingWindow(simulation, self._road, traffic, host_s_m=start_m, host_lane=lane, rng=rng)
+            self._traffic = MovingWindow(
+                simulation, self._road, traffic, host_s_m=self._start_m, host_lane=lane, farthest_m=farthest_m, rng=rng
+            )
         simulation.wait_for_host()
         if self._hands_off:
             simulation.hand_over()
-        self._road_end_m = math.inf if self._road.is_loop else self._road.length_m - start_m - overrun_m
 
     def step(self, action: int | np.int64) -> tuple[Floats, float, bool, bool, dict[str, Any]]:
         """Take one decision and drive until the next falls due."""
@@ -195,11 +205,16 @@ class HighwayEnv(gymnasium.Env[Floats, np.int64]):
             return "course"
         if len(self._lane_changing) >= self._duration_steps:
             return "duration"
-        if travelled_m >= self._road_end_m:
+        if travelled_m >= self.drivable_m:
             return "end of road"
         speeds = self._simulation.speeds_mps
         crawls = speeds[-1] < CRAWL_MPS and len(speeds) >= STANDSTILL_STEPS
         return "standstill" if crawls and max(speeds[-STANDSTILL_STEPS:]) < CRAWL_MPS else None
+
+    @property
+    def drivable_m(self) -> float:
+        """How far the host can drive before the road ends; inf on a loop."""
+        return math.inf if self._road.is_loop else self._road.length_m - self._start_m - self._overrun_m
 
     @property
     def scene(self) -> Scene:

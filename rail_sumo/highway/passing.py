@@ -10,12 +10,15 @@ NEAR_M = 60.0
 """Only vehicles this near the host are sorted into ahead and behind. Farther off they may be rounding a bend, and
 nobody closes more than this between two looks."""
 
+SAME_WAY = 0.5
+"""Cosine of the angle to the host's heading, 60 degrees, up to which a vehicle drives the host's way."""
+
 
 class PassCounter:
-    """Counts vehicles that were fully ahead and are fully behind, and the reverse.
+    """Counts vehicles driving the host's way that were fully ahead and are fully behind, and the reverse.
 
-    Jitter alongside does not count, nor does a vehicle that appears or vanishes: each passes only from one clear
-    side to the other. Look at least every 2 s.
+    Jitter alongside does not count, nor does a vehicle that appears or vanishes: each passes only from one clear side
+    to the other. Look at least every 2 s.
     """
 
     def __init__(self) -> None:
@@ -28,7 +31,7 @@ class PassCounter:
         east, north = scene.x_m - scene.x_m[0], scene.y_m - scene.y_m[0]
         along = east * math.cos(heading) + north * math.sin(heading)
         clear = 0.5 * (scene.length_m + scene.length_m[0])
-        away = np.hypot(east, north)
+        away = np.where(np.cos(scene.heading_rad - heading) > SAME_WAY, np.hypot(east, north), np.inf)
         ahead: set[str] = set()
         behind: set[str] = set()
         alongside: set[str] = set()

@@ -19,7 +19,6 @@ import numpy as np
 import sumolib.net
 
 from rail_sumo import assets
-from rail_sumo.config import Episode
 from rail_sumo.errors import InputError
 from rail_sumo.records import Floats
 
@@ -28,6 +27,9 @@ CAR = "passenger"
 
 NARROWEST_LANE_M = 2.4
 """A car of 1.8 m with 0.3 m to either side."""
+
+SHORT_EDGE_M = 45.0
+"""How far a car at 80 km/h drives while it changes lanes."""
 
 SAME_POINT_M = 0.05
 """Points of a border closer than this are one; netconvert rounds to 0.01 m."""
@@ -41,13 +43,16 @@ class Edge:
 
     id: str
     length_m: float
-    n_lanes: int
-    speed_limit_mps: float
+    lane_widths_m: tuple[float, ...]
     first_lane: int = 0
     """SUMO's index of the rightmost lane open to cars: above 0 beside a pavement or a bus lane."""
-    narrowest_lane_m: float = 3.2
     ending_lanes: tuple[int, ...] = ()
     """SUMO's indices of the lanes that do not lead to the next edge of the course."""
+
+    @property
+    def n_lanes(self) -> int:
+        """How many lanes are open to cars."""
+        return len(self.lane_widths_m)
 
 
 @dataclass(frozen=True, eq=False)
@@ -109,14 +114,6 @@ class Road:
         return tuple(ids)
 
 
-@dataclass(frozen=True, slots=True)
-class Check:
-    """What `rail-sumo network check` tells of a network."""
-
-    road: Road
-    warnings: tuple[str, ...]
-
-
 def load(file: str) -> Road:
     """Read a network, a shipped one's name or a `.net.xml`, and choose the course.
 
@@ -130,10 +127,22 @@ def load(file: str) -> Road:
     return _load(assets.network(file))
 
 
-def check(file: str, course_m: float = Episode().course_m) -> Check:
-    """Read a network and warn of what makes it a poor course of `course_m`; errors as in `load`."""
-    road = load(file)
-    return Check(road, tuple(_warnings(road, course_m)))
+def warnings(road: Road) -> Iterator[str]:
+    """Tell what makes it a poor course."""
+    for edge in road.edges:
+        if edge.ending_lanes:
+            lanes = ", ".join(map(str, edge.ending_lanes))
+            yield f"lane {lanes} of edge '{edge.id}' does not lead on along the course; the host must leave it in time"
+        if edge.length_m < SHORT_EDGE_M:
+            yield (
+                f"edge '{edge.id}' is {edge.length_m:.0f} m long; lane changes must end on the edge they begin on, and "
+                f"on one below {SHORT_EDGE_M:.0f} m a fast car begins none"
+            )
+        if min(edge.lane_widths_m) < NARROWEST_LANE_M:
+            yield (
+                f"edge '{edge.id}' has a lane of {min(edge.lane_widths_m):.2f} m; below {NARROWEST_LANE_M} m a car has "
+                f"no margin beside it"
+            )
 
 
 def check_demand(files: Iterable[str]) -> tuple[Path, ...]:
@@ -168,30 +177,21 @@ def _load(path: Path) -> Road:
     )
 
 
-def _warnings(road: Road, course_m: float) -> Iterator[str]:
-    if not road.is_loop and road.length_m < course_m:
-        yield (
-            f"the course is {road.length_m:.0f} m long, episodes of {course_m:.0f} m will end at the end of the road; "
-            f"set episode.course_m below it"
-        )
-    for edge in road.edges:
-        if edge.ending_lanes:
-            lanes = ", ".join(map(str, edge.ending_lanes))
-            yield f"lane {lanes} of edge '{edge.id}' does not lead on along the course; the host must leave it in time"
-        if edge.narrowest_lane_m < NARROWEST_LANE_M:
-            yield (
-                f"edge '{edge.id}' has a lane of {edge.narrowest_lane_m:.2f} m; below {NARROWEST_LANE_M} m a car has "
-                f"no margin beside it"
-            )
-
-
 def _open(path: Path) -> BufferedIOBase:
     return gzip.open(path) if path.suffix == ".gz" else path.open("rb")
 
 
+class _Reader(sumolib.net.NetReader):
+    is_left_hand = False
+
+    def startElement(self, name: str, attrs: Any) -> None:
+        self.is_left_hand = self.is_left_hand or (name == "net" and attrs.get("lefthand") == "true")
+        super().startElement(name, attrs)
+
+
 def _read(path: Path) -> Any:
     # Not sumolib.net.readNet: it picks another parser when lxml is installed and leaves files open after an error.
-    reader = sumolib.net.NetReader(withInternal=True, withFoes=False)
+    reader = _Reader(withInternal=True, withFoes=False)
     try:
         with _open(path) as stream:
             xml.sax.parse(stream, reader)
@@ -199,6 +199,8 @@ def _read(path: Path) -> Any:
         raise InputError(f"network '{path.name}' is not a complete XML file: {_reason(error)}") from None
     except Exception as error:  # whatever sumolib stumbles over in a file that is XML but not a network
         raise InputError(f"network '{path.name}' is not a SUMO network: {error!r}") from None
+    if reader.is_left_hand:
+        raise InputError(f"network '{path.name}' is for driving on the left; rail-sumo drives on the right")
     net = reader.getNet()
     if not net.getEdges(withInternal=False):
         raise InputError(f"network '{path.name}' has no edges; rail-sumo reads SUMO's .net.xml")
@@ -284,10 +286,8 @@ def _edge(edge: Any, joint: list[Any]) -> Edge:
     return Edge(
         id=edge.getID(),
         length_m=edge.getLength(),
-        n_lanes=len(lanes),
-        speed_limit_mps=min(lane.getSpeed() for lane in lanes),
+        lane_widths_m=tuple(lane.getWidth() for lane in lanes),
         first_lane=lanes[0].getIndex(),
-        narrowest_lane_m=min(lane.getWidth() for lane in lanes),
         ending_lanes=tuple(lane.getIndex() for lane in lanes if lane not in leading_on) if joint else (),
     )
 

@@ -15,18 +15,28 @@ from rail_sumo.errors import InputError
 from rail_sumo.highway.road import Road
 from rail_sumo.records import KMH, SECONDS_PER_STEP, Command, Gaps, HostState, Scene
 
-HOST = "host"
-HOST_TYPE = "rail_sumo_host"
+# Ids that no demand of a user's has.
+HOST = HOST_TYPE = "rail_sumo_host"
 TRAFFIC_TYPE = "rail_sumo_traffic"
+ROUTE = "rail_sumo_route"
+TYPES = Path(__file__).with_name("types.add.xml")
+"""Both types as SUMO has them by default, whatever a user's demand says of its default."""
 
 RESPECT_OTHERS_GAPS = 512
 """Lane-change mode: no change of its own accord; a commanded one waits for a gap that is safe to others."""
+LEAVE_ENDING_LANES = 513
+"""Lane-change mode: the same, but away from a lane that does not lead on."""
 COMMANDED_ONLY = 256
 """Lane-change mode of the host: no change of its own accord; the ADAS layer is the gate, SUMO only avoids overlap."""
+
+UNLIMITED = 10.0
+"""Speed factor of those whom the road's speed limits do not bind."""
 
 SUMO_CHANGES_LANES = 1621
 """SUMO's default lane-change mode."""
 
+SEEDS = 2**31
+"""SUMO takes seeds below this."""
 WAIT_S = 120.0
 LEADER_RANGE_M = 100.0
 FAILURES = (libsumo.TraCIException, libsumo.FatalTraCIError)
@@ -41,9 +51,11 @@ class Simulation:
     Args:
         road: the network and the host's course on it.
         routes: the user's demand files.
+        begin_s: when to begin in the demand's time, in seconds.
         adas: limits of the host's own car-following (ACC and AEB).
         seed: SUMO's seed.
         context_m: how far from the host, along either axis, a `Scene` shows vehicles.
+        outputs: further options of SUMO's, such as its own reports.
 
     Raises:
         RuntimeError: a simulation is already running in this process.
@@ -57,6 +69,7 @@ class Simulation:
         road: Road,
         *,
         routes: Sequence[Path] = (),
+        begin_s: float = 0.0,
         adas: config.Adas,
         seed: int,
         context_m: float,
@@ -82,8 +95,10 @@ class Simulation:
             [
                 *("--net-file", str(road.net_file)),
                 *(("--route-files", ",".join(map(str, routes))) if routes else ()),
-                *("--step-length", str(SECONDS_PER_STEP), "--seed", str(seed)),
+                *("--additional-files", str(TYPES), "--begin", str(begin_s)),
+                *("--step-length", str(SECONDS_PER_STEP), "--seed", str(seed % SEEDS)),
                 *("--collision.action", "warn", "--collision.mingap-factor", "0", "--time-to-teleport", "-1"),
+                *("--collision.check-junctions", "true"),
                 # A vehicle of the window enters at once or not at all.
                 *(() if routes else ("--max-depart-delay", "0")),
                 *("--no-step-log", "true", "--no-warnings", "true", "--xml-validation", "never"),
@@ -91,7 +106,7 @@ class Simulation:
             ]
         )
         Simulation._running = self._is_open = True
-        self._define_types()
+        self._equip_host()
 
     def __enter__(self) -> "Simulation":
         return self
@@ -105,7 +120,7 @@ class Simulation:
             libsumo.close()
             Simulation._running = self._is_open = False
 
-    def _define_types(self) -> None:
+    def _equip_host(self) -> None:
         """Give the host car-following that brakes safely and never harder than it may.
 
         Krauss without imperfection, a deceleration as hard as emergency braking, and others told to expect a
@@ -113,8 +128,6 @@ class Simulation:
         more to stay clear of a leader that brakes as hard.
         """
         types, adas = libsumo.vehicletype, self._adas
-        types.copy("DEFAULT_VEHTYPE", TRAFFIC_TYPE)
-        types.copy("DEFAULT_VEHTYPE", HOST_TYPE)
         types.setAccel(HOST_TYPE, adas.acceleration_mps2)
         types.setDecel(HOST_TYPE, adas.emergency_braking_mps2)
         types.setEmergencyDecel(HOST_TYPE, adas.emergency_braking_mps2)
@@ -134,20 +147,21 @@ class Simulation:
         SUMO leaves it out where it would not be safe; look for it in the next scene.
         """
         self._add(name, TRAFFIC_TYPE, edges, lane, front_m, "desired")
-        libsumo.vehicle.setSpeedFactor(name, desired_speed_mps / libsumo.lane.getMaxSpeed(f"{edges[0]}_{lane}"))
-        libsumo.vehicle.setLaneChangeMode(name, RESPECT_OTHERS_GAPS)
+        libsumo.vehicle.setSpeedFactor(name, UNLIMITED)
+        libsumo.vehicle.setMaxSpeed(name, desired_speed_mps)
+        libsumo.vehicle.setLaneChangeMode(name, LEAVE_ENDING_LANES)
 
     def add_host(self, edges: Sequence[str], *, lane: int, front_m: float, speed_mps: float) -> None:
         """Insert the host; it stands in the first scene after the next step unless there is no room for it."""
         self._add(HOST, HOST_TYPE, edges, lane, front_m, f"{speed_mps:.3f}")
-        libsumo.vehicle.setSpeedFactor(HOST, 10.0)  # the supervisor's limits hold, not the road's
+        libsumo.vehicle.setSpeedFactor(HOST, UNLIMITED)  # the supervisor's limits hold
         libsumo.vehicle.setLaneChangeMode(HOST, COMMANDED_ONLY)
         libsumo.vehicle.setSpeed(HOST, speed_mps)
 
     def _add(self, name: str, kind: str, edges: Sequence[str], lane: int, front_m: float, speed: str) -> None:
         route = tuple(edges)
         if route not in self._routes:
-            self._routes[route] = f"route{len(self._routes)}"
+            self._routes[route] = f"{ROUTE}{len(self._routes)}"
             libsumo.route.add(self._routes[route], list(route))
         libsumo.vehicle.add(
             name, self._routes[route], kind, departLane=str(lane), departPos=f"{front_m:.2f}", departSpeed=speed
@@ -237,11 +251,14 @@ class Simulation:
         edge = self._edges.get(vehicle.getRoadID(HOST))
         speed, lane = vehicle.getSpeed(HOST), vehicle.getLaneIndex(HOST)
         if edge is None:
-            return HostState(speed, lane, lane, lane, 0.0, 0.0)
+            return HostState(speed, lane, lane, lane, 0.0, 0.0, 0.0, 0.0)
         rightmost, leftmost = edge.first_lane, edge.first_lane + edge.n_lanes - 1
         to_end = edge.length_m - vehicle.getLanePosition(HOST)
-        width = libsumo.lane.getWidth(vehicle.getLaneID(HOST))
-        return HostState(speed, lane, rightmost, leftmost, to_end, width, edge.ending_lanes)
+        widths = edge.lane_widths_m
+        here = lane - rightmost
+        to_left = 0.5 * (widths[here] + widths[here + 1]) if lane < leftmost else 0.0
+        to_right = 0.5 * (widths[here] + widths[here - 1]) if lane > rightmost else 0.0
+        return HostState(speed, lane, rightmost, leftmost, to_end, widths[here], to_left, to_right, edge.ending_lanes)
 
     def gaps(self, side: int) -> Gaps:
         """Return the gaps in the host's own lane (0) or the one to its left (+1) or right (-1)."""

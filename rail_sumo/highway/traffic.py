@@ -46,6 +46,7 @@ class MovingWindow:
         traffic: how many, where, how fast.
         host_s_m: place on the course where the host starts, its front.
         host_lane: the lane it starts on.
+        farthest_m: how far it drives at most.
         rng: every random choice of this traffic.
     """
 
@@ -57,12 +58,14 @@ class MovingWindow:
         *,
         host_s_m: float,
         host_lane: int,
+        farthest_m: float,
         rng: np.random.Generator,
     ) -> None:
         self._simulation = simulation
         self._road = road
         self._config = traffic
         self._host_start_m = host_s_m
+        self._end_m = host_s_m + farthest_m + traffic.ahead_m
         self._rng = rng
         self._names = count()
         self._start_m: dict[str, float] = {}  # place on the course at insertion; an odometer adds the rest
@@ -120,8 +123,7 @@ class MovingWindow:
             return  # beyond the end of the road
         index, front_m = place
         name = f"car{next(self._names)}"
-        reach = self._config.ahead_m + self._config.behind_m
-        edges = self._road.laps(index, front_m + reach + self._road.length_m)
+        edges = self._road.laps(index, front_m + self._end_m - (host_m + ahead_m))
         self._simulation.add_vehicle(name, edges, lane=lane, front_m=front_m, desired_speed_mps=desired_mps)
         self._start_m[name] = host_m + ahead_m
 
