@@ -1,16 +1,17 @@
 """Drivers that learn nothing here: keep, random, rule, SUMO's own, and the shipped expert."""
 
+import json
 import math
 from collections.abc import Sequence
 from pathlib import Path
 from typing import Protocol
 
 import numpy as np
-from safetensors.numpy import load_file
+from safetensors import safe_open
 
 from rail_sumo import assets
 from rail_sumo.config import Adas, Config
-from rail_sumo.errors import InputError, did_you_mean
+from rail_sumo.errors import InputError, ObservationError, did_you_mean
 from rail_sumo.highway.env import HighwayEnv
 from rail_sumo.highway.observation import feature_names
 from rail_sumo.policy import Policy
@@ -131,15 +132,17 @@ def load_expert(config: Config, folder: Path | None = None) -> Expert:
     """Return the shipped expert, or the one in `folder` that `rail-sumo expert train` wrote.
 
     Raises:
-        InputError: it is missing or damaged, or senses something else than the configuration says.
+        ObservationError: it was trained on another observation than the configuration gives.
+        InputError: it is missing or damaged.
     """
-    weights = load_file(assets.expert(assets.EXPERT_POLICY, folder))
-    features = len(feature_names(config.lidar, config.observation))
-    layers = [(weights[f"{index}.weight"], weights[f"{index}.bias"]) for index in range(len(weights) // 2)]
-    trained_on = layers[0][0].shape[1]
-    if trained_on != features:
-        raise InputError(
-            f"the expert was trained on {trained_on} features, the configuration's lidar and observation give "
-            f"{features}; use the default ones or train an expert with 'rail-sumo expert train'"
+    with safe_open(assets.expert(assets.EXPERT_POLICY, folder), framework="numpy") as file:
+        trained_on = json.loads(file.metadata()["features"])
+        n_layers = len(file.keys()) // 2
+        layers = [(file.get_tensor(f"{i}.weight"), file.get_tensor(f"{i}.bias")) for i in range(n_layers)]
+    given = feature_names(config.lidar, config.observation)
+    if given != trained_on:
+        raise ObservationError(
+            f"the expert was trained on another observation ({len(trained_on)} features) than [lidar] and "
+            f"[observation] give ({len(given)}); use the default ones or train an expert: rail-sumo expert train"
         )
     return Expert(layers)

@@ -8,6 +8,10 @@ class InputError(ValueError):
     """A user's mistake: says what was given, what is allowed and what to do. The command line exits with code 2."""
 
 
+class ObservationError(InputError):
+    """A driver is to drive on another observation than it was trained on."""
+
+
 def did_you_mean(given: str, available: Iterable[str]) -> str:
     """Return `"; did you mean 'x'? (available: ...)"` for an unknown name; without a near name, only the list."""
     names = sorted(available)

@@ -1,5 +1,6 @@
 """An expert's folder: train one, evaluate it, record its demonstrations, and say how all of it was made."""
 
+import itertools
 import json
 import math
 import tempfile
@@ -15,7 +16,8 @@ from rail_sumo.drivers import Expert
 from rail_sumo.errors import InputError
 from rail_sumo.highway.observation import feature_names
 from rail_sumo.records import Floats
-from rail_sumo.run_directory import CONFIG
+from rail_sumo.rollout import EXPERT, traffic_seed
+from rail_sumo.run_directory import CONFIG, own_version
 
 
 def train(
@@ -39,8 +41,9 @@ def train(
 
     report.check(out)
     run.require_drivable(config, config.train.evaluation_episodes)
-    observer.start("practise", config.expert.decisions)
-    layers = ppo.train(config, seed, lambda _: observer.advance({}))
+    observer.start("practise", config.expert.updates * config.expert.decisions_per_update)
+    traffic_seeds = (traffic_seed(seed, EXPERT, episode) for episode in itertools.count())
+    layers = ppo.train(config, seed, traffic_seeds, lambda _: observer.advance({}))
     expert = Expert(layers)
     tables = run.evaluate(
         {report.EXPERT: expert},
@@ -53,15 +56,15 @@ def train(
     demonstrations = run.record(
         expert, config, episodes=config.train.trajectories, seed=seed, workers=workers, observer=observer
     )
-    about = {"driver": "expert", "seed": seed, "config": dumps(config)}
+    about = {"driver": "expert", "seed": str(seed), "config": dumps(config)}
     try:
         out.parent.mkdir(parents=True, exist_ok=True)
         with tempfile.TemporaryDirectory(dir=out.parent, prefix=f".{out.name}.") as scratch:
             whole = Path(scratch, out.name)
             report.write(*tables, whole)
-            save_file(_tensors(expert), whole / EXPERT_POLICY)
-            (whole / CONFIG).write_text(dumps(config), encoding="utf-8")
             features = feature_names(config.lidar, config.observation)
+            save_file(_tensors(expert), whole / EXPERT_POLICY, metadata={"features": json.dumps(features)})
+            (whole / CONFIG).write_text(dumps(config), encoding="utf-8")
             demonstrations.save(whole / EXPERT_DEMONSTRATIONS, features=features, about=about)
             (whole / MANIFEST).write_text(_manifest(whole, tables, seed), encoding="utf-8")
             whole.rename(out)
@@ -83,7 +86,7 @@ def _manifest(folder: Path, tables: run.Tables, seed: int) -> str:
         "files": {path.name: sha256(path) for path in sorted(folder.iterdir())},
         "seed": seed,
         "libsumo": version("libsumo"),
-        "rail-sumo": version("rail-sumo"),
+        "rail-sumo": own_version(),
         "evaluation": {metric: round(mean, 3) for metric, mean in means.items() if math.isfinite(mean)},
     }
     return json.dumps(manifest, indent=2) + "\n"

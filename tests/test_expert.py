@@ -1,3 +1,4 @@
+import itertools
 import json
 
 import numpy as np
@@ -22,7 +23,7 @@ def always(action):
 @pytest.fixture
 def trained(tmp_path, monkeypatch):
     """The folder of an expert that always accelerates, as if PPO had come to that."""
-    monkeypatch.setattr(ppo, "train", lambda config, seed, observer: always(MetaAction.ACCELERATE))
+    monkeypatch.setattr(ppo, "train", lambda config, seed, traffic_seeds, observer: always(MetaAction.ACCELERATE))
     expert.train(SHORT, tmp_path / "mine", seed=5)
     return tmp_path / "mine"
 
@@ -72,9 +73,9 @@ def test_an_existing_folder_is_refused_before_any_training(trained, monkeypatch)
 
 
 def test_a_failure_leaves_nothing_behind(tmp_path, monkeypatch):
-    monkeypatch.setattr(ppo, "train", lambda config, seed, observer: always(MetaAction.KEEP))
+    monkeypatch.setattr(ppo, "train", lambda config, seed, traffic_seeds, observer: always(MetaAction.KEEP))
 
-    def full_disk(*_):
+    def full_disk(*_, **__):
         raise OSError(28, "No space left on device")
 
     monkeypatch.setattr(expert, "save_file", full_disk)
@@ -85,16 +86,21 @@ def test_a_failure_leaves_nothing_behind(tmp_path, monkeypatch):
 
 def test_ppo_folds_its_scale_into_the_first_layer():
     """The network that is read out must decide on plain observations as the trained one did on scaled ones."""
-    tiny = config.load(None, ["expert.decisions=64", "expert.decisions_per_update=64", "expert.hidden=[4]"])
-    first, second = ppo.train(tiny, 3), ppo.train(tiny, 3)
-    other = ppo.train(tiny, 4)
+    tiny = config.load(None, ["expert.decisions=65", "expert.decisions_per_update=64", "expert.hidden=[4]"])
+
+    def train(seed, **changes):
+        return ppo.train(tiny.model_copy(update=changes), seed, itertools.count(seed))
+
+    first, second, other = train(3), train(3), train(4)
+    unmoved = train(3, expert=tiny.expert.model_copy(update={"learning_rate": 1e-12}))
     for (weights, biases), (same_weights, same_biases) in zip(first, second, strict=True):
         np.testing.assert_array_equal(weights, same_weights)
         np.testing.assert_array_equal(biases, same_biases)
     assert not np.array_equal(first[0][0], other[0][0])
+    assert np.abs(first[0][0] / unmoved[0][0] - 1.0).max() > 1e-3
     scale = ppo.scale_of(tiny, N_FEATURES)
     assert scale[0] == tiny.lidar.max_range_m
     assert scale[24] == 10.0
-    # Orthogonal initialisation at gain sqrt(2) gives rows of that length; 64 decisions hardly move them.
+    # Orthogonal initialisation at gain sqrt(2) gives rows of that length; two updates hardly move them.
     rows = np.linalg.norm(first[0][0] * scale, axis=1)
     assert rows == pytest.approx(np.full(4, np.sqrt(2)), rel=0.05)

@@ -3,7 +3,7 @@
 Learns from the environment's reward (`highway.reward`), which no imitator sees.
 """
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 
 import numpy as np
 import torch
@@ -19,6 +19,9 @@ from rail_sumo.records import Floats
 REWARD_SCALE = 0.1
 """A decision earns around ten steps' reward; PPO's defaults are meant for rewards of about 1."""
 
+LIBRARY_SEEDS = 2**32
+"""numpy's global generator, which stable-baselines3 seeds, takes seeds below this."""
+
 Layers = list[tuple[Floats, Floats]]
 
 
@@ -28,17 +31,17 @@ class ScaledHighway(HighwayEnv):
     Args:
         config: the world.
         scale: divides the observation, shape (n_features,).
-        seed: of the first episode; the ones after it draw theirs from it.
+        traffic_seeds: one for each episode; without end.
     """
 
-    def __init__(self, config: Config, scale: Floats, seed: int) -> None:
+    def __init__(self, config: Config, scale: Floats, traffic_seeds: Iterator[int]) -> None:
         super().__init__(config)
         self._scale = scale
-        self._episode_seeds = np.random.default_rng(seed)
+        self._traffic_seeds = traffic_seeds
 
     def reset(self, *, seed: int | None = None, options: dict | None = None) -> tuple[Floats, dict]:
         """Begin an episode on traffic of its own."""
-        observation, info = super().reset(seed=int(self._episode_seeds.integers(2**31)))
+        observation, info = super().reset(seed=next(self._traffic_seeds))
         return observation / self._scale, info
 
     def step(self, action: int | np.int64) -> tuple[Floats, float, bool, bool, dict]:
@@ -66,12 +69,15 @@ def scale_of(config: Config, n_features: int) -> Floats:
 
 
 @single_threaded()
-def train(config: Config, seed: int, observer: Callable[[int], None] = lambda _: None) -> Layers:
+def train(
+    config: Config, seed: int, traffic_seeds: Iterator[int], observer: Callable[[int], None] = lambda _: None
+) -> Layers:
     """Train the expert and return its network, whose inputs are plain observations.
 
     Args:
         config: the world, and the recipe in its section `expert`.
-        seed: of the networks, the sampling and the traffic.
+        seed: of the networks and the sampling.
+        traffic_seeds: one for each episode; without end.
         observer: is told the number of decisions taken so far.
 
     Returns:
@@ -79,26 +85,25 @@ def train(config: Config, seed: int, observer: Callable[[int], None] = lambda _:
     """
     expert = config.expert
     episode = config.episode.model_copy(update={"course_m": float("inf"), "duration_s": expert.horizon_s})
-    slowest_kmh = max(config.traffic.speed_low_kmh - expert.slower_traffic_kmh, config.traffic.speed_low_kmh / 2)
-    traffic = config.traffic.model_copy(update={"speed_low_kmh": slowest_kmh})
-    world = config.model_copy(update={"episode": episode, "traffic": traffic})
+    world = config.model_copy(update={"episode": episode})
     scale = scale_of(config, len(feature_names(config.lidar, config.observation)))
-    env = ScaledHighway(world, scale, seed)
+    env = ScaledHighway(world, scale, traffic_seeds)
     try:
         model = MaskablePPO(
             "MlpPolicy",
             env,
-            learning_rate=lambda left: expert.learning_rate * left,
+            # What is left is counted after an update's decisions: without its share, the last would learn nothing.
+            learning_rate=lambda left: expert.learning_rate * (left + 1 / expert.updates),
             n_steps=expert.decisions_per_update,
             batch_size=expert.batch_size,
             n_epochs=expert.epochs,
             gamma=expert.discount,
             ent_coef=expert.entropy,
             policy_kwargs={"net_arch": list(expert.hidden), "activation_fn": torch.nn.Tanh},
-            seed=seed,
+            seed=seed % LIBRARY_SEEDS,
             device="cpu",
         )
-        model.learn(expert.decisions, callback=_Progress(observer))
+        model.learn(expert.updates * expert.decisions_per_update, callback=_Progress(observer))
     finally:
         env.close()
     return _layers(model, scale)
