@@ -64,14 +64,14 @@ def train(
 ) -> None:
     """Learn a driver from demonstrations and set it beside its clone and the expert."""
     from rail_sumo import run
-    from rail_sumo.run_directory import RunDirectory
+    from rail_sumo.run_directory import CONFIG, RunDirectory
 
     out = out or Path("runs", f"{config_file.stem if config_file else 'default'}-seed{seed or 0}")
-    chosen = config.load(config_file, overrides or ())
     if resume:  # as it was started, where nothing else is said
         started = RunDirectory(out)
-        chosen = chosen if config_file or overrides else started.config
+        config_file = config_file or out / CONFIG
         seed = started.seed if seed is None else seed
+    chosen = config.load(config_file, overrides or ())
     n_workers = _workers(workers)
     try:
         with _bars() as observer:
@@ -169,11 +169,12 @@ def record(
 @network.command()
 def check(file: Annotated[str, typer.Argument(help="A .net.xml or a shipped network's name.")]) -> None:
     """Tell where on a network rail-sumo would drive, and what may go wrong there."""
-    from rail_sumo.highway import road
+    from rail_sumo import run
 
-    checked = road.check(file)
-    print(_describe(checked.road))
-    for warning in checked.warnings:
+    course, warnings = run.check(config.load(None, [f"network.file={json.dumps(file)}"]))
+    print(_describe(course))
+    print(f"edges: {_shortened([edge.id for edge in course.edges])}")
+    for warning in warnings:
         print(f"warning: {warning}")
 
 
@@ -191,6 +192,10 @@ def _describe(road: "Road") -> str:
     lanes = [edge.n_lanes for edge in road.edges]
     count = f"{min(lanes)} to {max(lanes)}" if min(lanes) < max(lanes) else f"{max(lanes)}"
     return f"{road.name}: {'loop' if road.is_loop else 'road'} of {road.length_m:,.0f} m with {count} lanes"
+
+
+def _shortened(edges: list[str]) -> str:
+    return ", ".join(edges if len(edges) <= 8 else [*edges[:4], f"({len(edges) - 8} more)", *edges[-4:]])
 
 
 def _workers(text: str) -> int | Literal["ray"]:

@@ -3,6 +3,8 @@
 import multiprocessing
 import signal
 from collections.abc import Callable, Iterable, Iterator
+from concurrent.futures import ProcessPoolExecutor
+from concurrent.futures.process import BrokenProcessPool
 from contextlib import contextmanager
 from dataclasses import dataclass
 from typing import Any, Literal, Protocol
@@ -71,7 +73,7 @@ def _driver(task: Task) -> drivers.Driver:
 class Workers(Protocol):
     """Anything with an ordered `map`."""
 
-    def map(self, function: Callable[[Any], Any], iterable: Iterable[Any]) -> Iterator[Any]:
+    def map(self, function: Callable[[Any], Any], iterable: Iterable[Any], /) -> Iterator[Any]:
         """Return the results in the order of the iterable."""
 
 
@@ -79,14 +81,9 @@ class _Serial:
     map = staticmethod(map)
 
 
-class _Pool:
-    """A process pool whose `map` is lazy and ordered."""
-
+class _Ray:
     def __init__(self, pool: Any) -> None:
-        self._pool = pool
-
-    def map(self, function: Callable[[Any], Any], iterable: Iterable[Any]) -> Iterator[Any]:
-        return self._pool.imap(function, iterable)
+        self.map = pool.imap
 
 
 @contextmanager
@@ -95,26 +92,39 @@ def workers(number: int | Literal["ray"]) -> Iterator[Workers]:
 
     The pool spawns its processes, so none of them carries the parent's torch or its open simulation. They leave
     Ctrl-C to the parent.
+
+    Raises:
+        InputError: Ray is wanted and not installed, or a process died.
     """
     if number == 1:
         yield _Serial()
         return
     if number == "ray":
-        try:
-            from ray.util.multiprocessing import Pool
-        except ImportError:
-            raise InputError("--workers ray needs Ray; install it with: pip install 'rail-sumo[ray]'") from None
-        pool = Pool()
-    else:
-        ignore = (signal.SIGINT, signal.SIG_IGN)
-        before = signal.signal(*ignore)  # the workers inherit it, so none is interrupted while it starts
-        try:
-            pool = multiprocessing.get_context("spawn").Pool(number, initializer=signal.signal, initargs=ignore)
-        finally:
-            signal.signal(signal.SIGINT, before)
+        with _ray_pool() as pool:
+            yield _Ray(pool)
+        return
+    ignore = (signal.SIGINT, signal.SIG_IGN)
+    spawn = multiprocessing.get_context("spawn")
+    executor = ProcessPoolExecutor(number, spawn, initializer=signal.signal, initargs=ignore)
+    before = signal.signal(*ignore)  # the workers inherit it, so none is interrupted while it starts
     try:
-        yield _Pool(pool)
-        pool.close()
+        executor.submit(int)  # starts all of them
     finally:
-        pool.terminate()
-        pool.join()
+        signal.signal(signal.SIGINT, before)
+    try:
+        yield executor
+    except BrokenProcessPool:
+        raise InputError(
+            "a worker process died: memory ran out, or SUMO crashed on this network or demand; "
+            "--workers 1 drives in one process and tells which"
+        ) from None
+    finally:
+        executor.shutdown(cancel_futures=True)
+
+
+def _ray_pool() -> Any:
+    try:
+        from ray.util.multiprocessing import Pool
+    except ImportError:
+        raise InputError("--workers ray needs Ray; install it with: pip install 'rail-sumo[ray]'") from None
+    return Pool()

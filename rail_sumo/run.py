@@ -15,8 +15,9 @@ import pandas as pd
 
 from rail_sumo import assets, config, drivers, metrics, report, rollout
 from rail_sumo.config import Config, dumps
-from rail_sumo.errors import InputError, did_you_mean
+from rail_sumo.errors import InputError, ObservationError, did_you_mean
 from rail_sumo.highway import road
+from rail_sumo.highway.env import HighwayEnv
 from rail_sumo.highway.observation import feature_names
 from rail_sumo.imitation.demonstrations import Demonstrations
 from rail_sumo.policy import Shape, Whitening
@@ -73,6 +74,8 @@ def find_driver(policy: str, world: Config) -> Driver:
     Raises:
         InputError: it is neither, damaged, or learned on another observation than the world's.
     """
+    if policy == report.EXPERT:  # read once here, not by a worker in every episode
+        return drivers.load_expert(world)
     if policy in drivers.NAMES:
         return policy
     if (Path(policy) / assets.MANIFEST).is_file():
@@ -145,6 +148,10 @@ def demonstrate(
     Raises:
         InputError: the file `out` exists and is not to be overwritten, or cannot be written; bad input of any kind.
     """
+    if driver == "sumo":
+        raise InputError(
+            "driver 'sumo' takes no decisions that could be recorded; take rule, expert or a run directory"
+        )
     if out.exists() and not overwrite:
         raise InputError(f"output file '{out}' exists; choose another, or replace it with --overwrite")
     report.check_writable(out.parent)
@@ -169,39 +176,49 @@ def train(
     """Clone the demonstrations, improve the clone by RAIL, and set both beside the shipped expert on held-out traffic.
 
     The run directory `out` appears once there is a clone. From then on training may be interrupted at any moment,
-    by kill -9 too, and with `resume` goes on to the very same policy.
+    by kill -9 too, and with `resume` goes on to the very same policy, or to more iterations.
 
     Raises:
         InputError: `out` exists, or with `resume` is no run of this configuration and seed; anything that is wrong
             with the configuration, the network, the demand or the demonstrations.
     """
-    if resume:
-        run = RunDirectory(out)
-        run.require_same(config, seed)
-    else:
+    if not resume:
         require_new(out)
+    started = RunDirectory(out) if resume else None
     require_drivable(config, config.train.evaluation_episodes)
     demonstrations = _demonstrations(config)
-    if not resume:
-        run = _start(config, out, seed, demonstrations)
+    inputs = _inputs(config)
+    if started:
+        started.go_on(config, seed, inputs)
+    run = started or _start(config, out, seed, inputs, demonstrations)
     _improve(run, demonstrations, workers, observer)
 
     policies: dict[str, Driver] = {"rail": run.policy(config), "clone": run.clone}
-    with suppress(InputError):  # the shipped expert senses something else: there is nothing to set beside
-        drivers.load_expert(config)
-        policies[report.EXPERT] = "expert"
+    with suppress(ObservationError):  # the shipped expert senses something else: there is nothing to set beside
+        policies[report.EXPERT] = drivers.load_expert(config)
     episodes = config.train.evaluation_episodes
     tables = evaluate(policies, config, episodes=episodes, seed=seed, workers=workers, observer=observer)
     report.write(*tables, out, overwrite=True)
     return tables
 
 
+def check(world: Config) -> tuple[road.Road, list[str]]:
+    """Return the course of a world and what may go wrong on it; errors as in `require_drivable`."""
+    course, drivable_m = road.load(world.network.file), HighwayEnv(world).drivable_m
+    warnings = []
+    if drivable_m < world.episode.course_m:
+        warnings.append(
+            f"the road ends {drivable_m:.0f} m after the host's start, and so will episodes of "
+            f"{world.episode.course_m:.0f} m; set episode.course_m to {drivable_m:.0f} or less"
+        )
+    return course, [*warnings, *road.warnings(course)]
+
+
 def require_drivable(world: Config, episodes: int = 1) -> None:
     """Raise InputError for what can be known to be wrong before anybody drives."""
     if episodes < 1:
         raise InputError(f"episodes must be at least 1; got {episodes}")
-    road.load(world.network.file)
-    road.check_demand(world.traffic.routes)
+    HighwayEnv(world)
 
 
 def _require_folder(policy: Path) -> None:
@@ -222,13 +239,28 @@ def _drive(work: str, tasks: list[Task], workers: WorkerCount, observer: Observe
 
 
 def _demonstrations(config: Config) -> Demonstrations:
-    name = config.train.demonstrations
-    path = assets.expert(assets.EXPERT_DEMONSTRATIONS) if name == "expert" else Path(name)
     features = feature_names(config.lidar, config.observation)
-    return Demonstrations.load(path, features=features).take(config.train.trajectories)
+    return Demonstrations.load(_demonstrations_file(config), features=features).take(config.train.trajectories)
 
 
-def _start(config: Config, out: Path, seed: int, demonstrations: Demonstrations) -> RunDirectory:
+def _demonstrations_file(config: Config) -> Path:
+    name = config.train.demonstrations
+    return assets.expert(assets.EXPERT_DEMONSTRATIONS) if name == "expert" else Path(name)
+
+
+def _inputs(config: Config) -> dict[str, str]:
+    """Return the SHA-256 of every file that a training with this configuration reads, by the key that names it."""
+    demand = road.check_demand(config.traffic.routes)
+    return {
+        "network.file": assets.sha256(assets.network(config.network.file)),
+        "traffic.routes": " ".join(map(assets.sha256, demand)),
+        "train.demonstrations": assets.sha256(_demonstrations_file(config)),
+    }
+
+
+def _start(
+    config: Config, out: Path, seed: int, inputs: Mapping[str, str], demonstrations: Demonstrations
+) -> RunDirectory:
     from rail_sumo.imitation import bc
 
     whitening = Whitening.of(demonstrations.observations)
@@ -236,7 +268,7 @@ def _start(config: Config, out: Path, seed: int, demonstrations: Demonstrations)
     shape = Shape(n_features, config.policy.hidden if config.policy.layers == 2 else None)
     theta = bc.clone(demonstrations, shape, whitening, config.cloning, seed)
     clone = LearnedDriver(theta, shape, whitening)
-    return RunDirectory.create(out, config, seed, clone, _judge(config, clone, seed).state())
+    return RunDirectory.create(out, config, seed, inputs, clone, _judge(config, clone, seed).state())
 
 
 def _judge(config: Config, clone: LearnedDriver, seed: int) -> "Judge":

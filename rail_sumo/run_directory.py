@@ -21,7 +21,7 @@ from numpy.typing import NDArray
 from safetensors import SafetensorError, safe_open
 
 from rail_sumo.config import Config, dumps, load
-from rail_sumo.errors import InputError
+from rail_sumo.errors import InputError, ObservationError
 from rail_sumo.highway.observation import feature_names
 from rail_sumo.policy import Shape, Whitening
 from rail_sumo.records import Floats
@@ -33,6 +33,9 @@ CLONE = "clone.safetensors"
 JUDGE = "judge.safetensors"
 PROGRESS = "progress.csv"
 CHECKPOINT = "checkpoint.safetensors"
+
+MAY_CHANGE = ("train.iterations", "train.evaluation_episodes")
+"""Keys that an interrupted or finished run may be resumed with another value of: no iteration depends on them."""
 
 PROGRESS_COLUMNS = (
     "iteration",
@@ -83,8 +86,16 @@ class RunDirectory:
         self.clone, self._about = _read_driver(path / CLONE)
 
     @classmethod
-    def create(cls, path: Path, config: Config, seed: int, clone: LearnedDriver, judge: Tensors) -> "RunDirectory":
+    def create(
+        cls, path: Path, config: Config, seed: int, inputs: Mapping[str, str], clone: LearnedDriver, judge: Tensors
+    ) -> "RunDirectory":
         """Lay out a run that starts from the clone. It appears under its name only once it is whole.
+
+        Args:
+            path: where.
+            config, seed: what it is started with.
+            inputs: the files it reads, by the keys that name them, as SHA-256.
+            clone, judge: what the first iteration starts from.
 
         Raises:
             InputError: it exists, or cannot be written.
@@ -97,7 +108,9 @@ class RunDirectory:
                 whole = Path(scratch, path.name)
                 whole.mkdir()
                 _replace(whole / CONFIG, dumps(config).encode())
-                _replace(whole / CLONE, _driver_bytes(clone, {"seed": seed, "features": features}))
+                _replace(
+                    whole / CLONE, _driver_bytes(clone, {"seed": seed, "inputs": dict(inputs), "features": features})
+                )
                 cls(whole).save(Checkpoint(clone.theta, judge))
                 whole.rename(path)
         except OSError as error:
@@ -118,7 +131,7 @@ class RunDirectory:
         learned, about = _read_driver(self.path / POLICY)
         given = feature_names(world.lidar, world.observation)
         if given != about["features"]:
-            raise InputError(
+            raise ObservationError(
                 f"policy '{self.path}' was trained on another observation ({len(about['features'])} features) than it "
                 f"is to drive with ({len(given)}); leave [lidar] and [observation] as in '{self.path / CONFIG}'"
             )
@@ -147,15 +160,35 @@ class RunDirectory:
         tensors = {"theta": checkpoint.theta, **checkpoint.judge}
         _replace(self.path / CHECKPOINT, _bytes(tensors, {"progress": checkpoint.progress}))
 
-    def require_same(self, config: Config, seed: int) -> None:
-        """Raise InputError unless the run was started with this configuration and seed."""
+    def go_on(self, config: Config, seed: int, inputs: Mapping[str, str]) -> None:
+        """Take a run up again, with more iterations or evaluation episodes if the configuration says so.
+
+        Raises:
+            InputError: the run was started with another seed, configuration or content of the files it reads, or has
+                done more iterations than it is to have.
+        """
         given = _flat(config) | {"seed": seed}
         for key, value in (_flat(self.config) | {"seed": self.seed}).items():
-            if given[key] != value:
+            if given[key] != value and key not in MAY_CHANGE:
                 raise InputError(
                     f"run directory '{self.path}' was started with {key} = {value}, not {given[key]}; resume it as it "
                     f"was started, or start another with --out"
                 )
+        for key, checksum in self._about["inputs"].items():
+            if inputs[key] != checksum:
+                raise InputError(
+                    f"what {key} names has changed since run directory '{self.path}' was started; put it back as it "
+                    f"was, or start another run with --out"
+                )
+        done = self.checkpoint().iteration
+        if config.train.iterations < done:
+            raise InputError(
+                f"run directory '{self.path}' has done {done} iterations; set train.iterations to no less, or start "
+                f"another with --out"
+            )
+        if config != self.config:
+            _replace(self.path / CONFIG, dumps(config).encode())
+            self.config = config
 
 
 def require_new(path: Path) -> None:
@@ -195,11 +228,12 @@ def _read_driver(path: Path) -> tuple[LearnedDriver, dict[str, Any]]:
 
 def _bytes(tensors: Tensors, about: dict[str, Any]) -> bytes:
     # One metadata key: safetensors writes several in random order, and equal runs must give equal bytes.
-    text = json.dumps(about | {"version": _version()}, sort_keys=True)
+    text = json.dumps(about | {"version": own_version()}, sort_keys=True)
     return safetensors.numpy.save(tensors, metadata={"rail_sumo": text})
 
 
-def _version() -> str:
+def own_version() -> str:
+    """Return the version of rail-sumo that is at work."""
     try:
         return version("rail-sumo")
     except PackageNotFoundError:

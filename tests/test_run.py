@@ -24,10 +24,10 @@ N_FEATURES = 8
 def drive(task):
     """Stands in for SUMO: what is seen follows from the traffic seed, what is decided from the driver."""
     observations = np.random.default_rng(task.seed).normal(size=(20, N_FEATURES))
-    if isinstance(task.driver, str):
-        actions = np.where(observations[:, 0] > 0, 1, 2)
-    else:
+    if isinstance(task.driver, rollout.LearnedDriver):
         actions = np.array([task.driver.policy()(observation) for observation in observations])
+    else:
+        actions = np.where(observations[:, 0] > 0, 1, 2)
     return Trajectory(
         observations=observations,
         actions=actions,
@@ -218,6 +218,32 @@ def test_resuming_with_another_configuration_names_the_key(small, trained):
     other = small.model_copy(update={"search": small.search.model_copy(update={"noise_std": 0.5})})
     with pytest.raises(InputError, match=r"was started with search.noise_std = 0.05, not 0.5"):
         run.train(other, trained, seed=1, resume=True)
+
+
+def test_resuming_on_other_demonstrations_is_refused(small, trained, tmp_path):
+    world = config.load(None, SMALL)
+    features = run.feature_names(world.lidar, world.observation)
+    others = [drive(rollout.Task("expert", world, seed)) for seed in range(3, 6)]
+    Demonstrations.from_trajectories(others).save(tmp_path / "demonstrations.parquet", features=features, about={})
+    with pytest.raises(InputError, match=r"what train\.demonstrations names has changed since run directory"):
+        run.train(small, trained, seed=1, resume=True)
+
+
+def lasting(small, iterations):
+    return small.model_copy(update={"train": small.train.model_copy(update={"iterations": iterations})})
+
+
+def test_a_run_resumed_for_more_iterations_is_one_that_was_to_have_them(small, trained, tmp_path):
+    run.train(lasting(small, 5), trained, seed=1, resume=True)
+    run.train(lasting(small, 5), tmp_path / "longer", seed=1)
+    assert contents(trained) == contents(tmp_path / "longer")
+
+
+def test_a_run_cannot_be_resumed_for_fewer_iterations_than_it_has(small, trained):
+    before = contents(trained)
+    with pytest.raises(InputError, match=r"has done 3 iterations; set train\.iterations to no less, or start another"):
+        run.train(lasting(small, 2), trained, seed=1, resume=True)
+    assert contents(trained) == before
 
 
 def test_a_run_is_evaluated_in_its_own_world_unless_told_otherwise(trained, small):
