@@ -35,7 +35,7 @@ class Episode(_Section):
     """When an episode ends: at the course's end or after the duration, whichever comes first; inf is no limit."""
 
     course_m: Limit = 7222.0
-    duration_s: Limit = math.inf
+    duration_s: Annotated[float, Field(ge=SECONDS_PER_STEP)] = math.inf
     decision_period_s: Annotated[float, Field(ge=SECONDS_PER_STEP, le=2.0)] = 1.0
 
     @model_validator(mode="after")
@@ -60,13 +60,15 @@ class Traffic(_Section):
 
     routes: tuple[str, ...] = ()
     """The user's demand files (`.rou.xml`); empty for the moving window."""
-    vehicles: Annotated[int, Field(ge=0, le=500)] = 20
+    vehicles: Annotated[int, Field(ge=0, le=500)] = 16
     ahead_m: Annotated[float, Field(ge=50.0, le=2000.0)] = 250.0
     behind_m: Annotated[float, Field(ge=50.0, le=2000.0)] = 150.0
-    speed_low_kmh: Positive = 57.0
+    speed_low_kmh: Positive = 56.0
     speed_high_kmh: Positive = 70.0
     lane_change_every_s: Limit = 30.0
     """Mean time between one vehicle's tries to change lanes; inf for none."""
+    begin_s: NonNegative = 0.0
+    """When to begin in the user's own demand: 25200 for seven in the morning."""
     warm_up_s: NonNegative = 60.0
     """How long the user's own demand drives before the host enters."""
 
@@ -183,17 +185,29 @@ class Expert(_Section):
     """Masked PPO, which the expert is trained by."""
 
     decisions: Count = 100_000
+    """Rounded up to whole updates."""
     horizon_s: Positive = 300.0
-    slower_traffic_kmh: NonNegative = 2.0
-    """It practises among vehicles whose slowest is slower by this than the world's (by half at most)."""
     hidden: tuple[Count, ...] = (128, 128)
     learning_rate: Positive = 4e-4
     """Falls to 0 over the training."""
     discount: Annotated[float, Field(gt=0.0, lt=1.0)] = 0.995
     decisions_per_update: Count = 2048
-    batch_size: Count = 64
+    batch_size: Annotated[int, Field(ge=2)] = 64
     epochs: Count = 10
     entropy: NonNegative = 0.0
+
+    @property
+    def updates(self) -> int:
+        """How many updates the decisions are for."""
+        return math.ceil(self.decisions / self.decisions_per_update)
+
+    @model_validator(mode="after")
+    def _whole_batches(self) -> "Expert":
+        if self.decisions_per_update % self.batch_size:
+            raise ValueError(
+                f"decisions_per_update {self.decisions_per_update} must be a multiple of batch_size {self.batch_size}"
+            )
+        return self
 
 
 class Config(_Section):

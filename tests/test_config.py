@@ -57,6 +57,13 @@ def sections(model):
             values(field.annotation, field.metadata), min_size=len(rising), max_size=len(rising), unique=True
         )
         drawn = st.builds(lambda fields, risen: fields | dict(zip(rising, sorted(risen), strict=True)), drawn, some)
+    if model is config.Expert:  # an update takes whole batches
+        whole = st.builds(
+            lambda size, n: {"batch_size": size, "decisions_per_update": n * size},
+            st.integers(2, 10**6),
+            st.integers(1, 10**6),
+        )
+        drawn = st.builds(lambda fields, batches: fields | batches, drawn, whole)
     return drawn.map(lambda fields: model(**fields))
 
 
