@@ -133,6 +133,8 @@ def test_network_and_routes_go_into_the_world(rail_sumo, monkeypatch):
     )
     assert rail_sumo("eval", "keep", "--network", "highway3", "--episodes", "1", *SHORT)[0] == 0
     assert worlds[0].network.file == "highway3"
+    assert rail_sumo("eval", "keep", "--routes", "highway5", "--episodes", "1", *SHORT)[0] == 0
+    assert worlds[1].traffic.routes == ("highway5",)
 
 
 def test_interrupted_training_says_how_to_go_on(rail_sumo, monkeypatch, tmp_path):

@@ -50,6 +50,15 @@ def in_a_worker(task):
     return os.getpid(), "libsumo" in sys.modules, "torch" in sys.modules
 
 
+def die(_):
+    os.abort()
+
+
+def test_a_worker_that_dies_ends_the_work_in_one_line():
+    with pytest.raises(InputError, match=r"^a worker process died: memory ran out, or SUMO crashed"), workers(2) as two:
+        list(two.map(die, range(4)))
+
+
 def test_two_workers_drive_bit_for_bit_what_one_drives(pool):
     with workers(1) as one:
         alone = list(one.map(drive, TASKS))

@@ -65,7 +65,10 @@ class Adas:
         return 0.0 if self._side is None else self._side * self._moved
 
     def allowed(self, host: HostState, gaps: Callable[[int], Gaps]) -> list[bool]:
-        """Return for each `MetaAction` whether it would be carried out now rather than refused or ignored."""
+        """Return for each `MetaAction` whether a masked policy may choose it: it would be carried out now.
+
+        While a change is under way the mask offers only to hold or to turn back, though a speed decision would act.
+        """
         if self._side is None:
             return [True, True, True, self._open(LEFT, host, gaps), self._open(RIGHT, host, gaps)]
         back = not self._reversing and self._may_turn_back(host, gaps)

@@ -232,7 +232,7 @@ class HighwayEnv(gymnasium.Env[Floats, np.int64]):
         return self._adas.changing_lane
 
     def action_masks(self) -> list[bool]:
-        """Return for each meta-action whether the ADAS layer would carry it out now (sb3-contrib's name for it)."""
+        """Return for each meta-action whether a masked policy may choose it now, see `Adas.allowed`."""
         assert self._simulation is not None
         return self._adas.allowed(self._simulation.host(), self._simulation.gaps)
 

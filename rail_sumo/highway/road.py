@@ -152,7 +152,7 @@ def check_demand(files: Iterable[str]) -> tuple[Path, ...]:
         InputError: no such file, not XML, or no vehicle, flow or trip in any of them.
     """
     paths = tuple(assets.routes(file) for file in files)
-    found = set().union(*(_elements(path) for path in paths))
+    found = frozenset().union(*map(_elements, paths))
     if paths and not found & {"vehicle", "flow", "trip"}:
         names = "', '".join(map(str, paths))
         raise InputError(f"demand '{names}' has no <vehicle>, <flow> or <trip>; rail-sumo needs traffic to drive in")
@@ -213,7 +213,8 @@ def _reason(error: Exception) -> str:
     return str(error)
 
 
-def _elements(path: Path) -> set[str]:
+@lru_cache(maxsize=32)  # every episode asks
+def _elements(path: Path) -> frozenset[str]:
     names = set()
     try:
         with _open(path) as stream:
@@ -222,7 +223,7 @@ def _elements(path: Path) -> set[str]:
                 element.clear()
     except _UNREADABLE as error:
         raise InputError(f"demand '{path}' is not a complete XML file: {error}") from None
-    return names
+    return frozenset(names)
 
 
 def _lanes(edge: Any) -> list[Any]:
