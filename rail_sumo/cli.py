@@ -116,6 +116,20 @@ def evaluate(
     _show(tables, out)
 
 
+@app.command()
+def plot(
+    runs: Annotated[list[Path], typer.Argument(metavar="RUN...", help="Run directories, finished or under way.")],
+    out: Annotated[Path, typer.Option(metavar="FILE", help="The picture: .png, .svg or .pdf.")] = Path("curves.png"),
+    against: Annotated[Literal["steps", "time"], typer.Option(help="What runs from left to right.")] = "steps",
+    overwrite: Overwrite = False,
+) -> None:
+    """Draw how training went; runs that differ by the number at the end of their names become one curve with a band."""
+    from rail_sumo import plot
+
+    plot.save(plot.learning_curves(runs, against), out, overwrite=overwrite)
+    print(f"learning curves in {out}")
+
+
 @expert.command("train")
 def train_expert(
     config_file: ConfigFile = None,

@@ -343,5 +343,6 @@ def _progress(state: "RailState", judge: "Judge", before: tuple[Row, ...], secon
 def _figures(driven: list[Trajectory]) -> dict[str, float]:
     return {
         "speed_kmh": float(np.mean([trajectory.speed_mps[1:].mean() for trajectory in driven])) * KMH,
+        "overtakes": float(np.mean([trajectory.overtakes for trajectory in driven])),
         "lane_changes": float(np.mean([trajectory.lane_changes for trajectory in driven])),
     }

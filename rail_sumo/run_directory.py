@@ -41,11 +41,12 @@ PROGRESS_COLUMNS = (
     "iteration",
     "environment_steps",  # SUMO steps driven since the start
     "seconds",  # at work since the start, interruptions left out
-    "mean_return",  # of this iteration's rollouts, by the judge; the next six likewise of this iteration
+    "mean_return",  # of this iteration's rollouts, by the judge; the next seven likewise of this iteration
     "judge_loss",
     "judge_expert_mean",
     "judge_learner_mean",
     "speed_kmh",
+    "overtakes",  # per rollout
     "lane_changes",  # per rollout
     "step_norm",  # how far theta moved
 )

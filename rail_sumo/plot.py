@@ -1,0 +1,122 @@
+"""Learning curves of one or many runs, as a picture. Needs matplotlib, the extra `plots`."""
+
+import re
+from collections.abc import Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING, Literal
+
+import numpy as np
+import pandas as pd
+from scipy import stats
+
+from rail_sumo.errors import InputError
+from rail_sumo.report import check_writable
+from rail_sumo.run_directory import PROGRESS_COLUMNS, RunDirectory
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+    from matplotlib.figure import Figure
+
+Against = Literal["steps", "time"]
+
+SMOOTHED_OVER = 5
+"""Iterations in the running mean that is drawn: one iteration's rollouts leave much to chance."""
+
+_ACROSS: dict[Against, tuple[str, float, str]] = {
+    "steps": ("environment_steps", 1e-6, "environment steps, millions"),
+    "time": ("seconds", 1 / 60, "training, minutes"),
+}
+_PANELS = {
+    "speed, km/h": {"speed_kmh": "-"},
+    "overtakes a rollout": {"overtakes": "-"},
+    "lane changes a rollout": {"lane_changes": "-"},
+    "judge's verdict on expert (solid) and learner (dashed)": {"judge_expert_mean": "-", "judge_learner_mean": "--"},
+}
+_COLOURS = ("#0072b2", "#d55e00", "#009e73", "#cc79a7", "#e69f00", "#56b4e9", "#000000")  # Okabe & Ito's
+
+
+def learning_curves(runs: Sequence[Path], against: Against = "steps") -> "Figure":
+    """Draw how training went, over the rollouts that it went by: those of perturbed policies in training traffic.
+
+    Runs whose names differ in a number at their end alone (`mine-seed0`, `mine-seed1`) are one curve: their mean, with
+    the 95 % confidence band of the mean (Student's t) and each run as a thin line.
+
+    Args:
+        runs: run directories.
+        against: environment steps, or time at work.
+
+    Raises:
+        InputError: matplotlib is not installed; no run directory, a damaged one, or one without an iteration.
+    """
+    try:
+        from matplotlib.figure import Figure
+    except ImportError:
+        raise InputError("plotting needs matplotlib; install it with: pip install 'rail-sumo[plots]'") from None
+    groups: dict[str, list[pd.DataFrame]] = {}
+    for run in runs:
+        groups.setdefault(group_of(run), []).append(_progress(run))
+    column, unit, label = _ACROSS[against]
+    figure = Figure(figsize=(9.0, 6.0), layout="constrained")
+    for axes, (title, lines) in zip(figure.subplots(2, 2, sharex=True).flat, _PANELS.items(), strict=True):
+        for index, progress in enumerate(groups.values()):
+            for drawn, style in lines.items():
+                _draw(axes, progress, column, unit, drawn, style, _COLOURS[index % len(_COLOURS)])
+        axes.set_title(title, loc="left", fontsize="medium")
+        axes.grid(alpha=0.3)
+        axes.spines[["top", "right"]].set_visible(False)
+    for axes in figure.axes[2:]:
+        axes.set_xlabel(label)
+    handles = [figure.axes[0].plot([], [], color=colour)[0] for _, colour in zip(groups, _COLOURS, strict=False)]
+    counts = [f"{name} ({len(progress)} runs)" if len(progress) > 1 else name for name, progress in groups.items()]
+    figure.legend(handles, counts, loc="outside upper center", ncols=min(len(counts), 3), frameon=False)
+    return figure
+
+
+def group_of(run: Path) -> str:
+    """Return the run's name without the seed at its end."""
+    return re.sub(r"-(seed)?\d+$", "", run.resolve().name)
+
+
+def save(figure: "Figure", out: Path, *, overwrite: bool = False) -> None:
+    """Write the picture, as PNG, SVG or PDF by the file's suffix, whole or not at all.
+
+    Raises:
+        InputError: the file exists and is not to be overwritten, its suffix is none of these, or it cannot be written.
+    """
+    if out.suffix not in (".png", ".svg", ".pdf"):
+        raise InputError(f"a picture's name must end in .png, .svg or .pdf; got '{out}'")
+    if out.exists() and not overwrite:
+        raise InputError(f"output file '{out}' exists; choose another, or replace it with --overwrite")
+    check_writable(out.parent)
+    partial = out.with_name(f".{out.name}.partial")
+    try:
+        out.parent.mkdir(parents=True, exist_ok=True)
+        figure.savefig(partial, format=out.suffix[1:], dpi=150)
+        partial.replace(out)
+    except OSError as error:
+        partial.unlink(missing_ok=True)
+        raise InputError(f"cannot write '{out}': {error.strerror or error}") from None
+
+
+def _progress(run: Path) -> pd.DataFrame:
+    progress = pd.DataFrame(RunDirectory(run).checkpoint().progress, columns=list(PROGRESS_COLUMNS))
+    if progress.empty:
+        raise InputError(f"run '{run}' has no iteration to draw yet; train it first")
+    return progress
+
+
+def _draw(
+    axes: "Axes", progress: list[pd.DataFrame], across: str, unit: float, drawn: str, style: str, colour: str
+) -> None:
+    smooth = [run[drawn].rolling(SMOOTHED_OVER, min_periods=1).mean() for run in progress]
+    if len(progress) == 1:
+        axes.plot(progress[0][across] * unit, smooth[0], style, color=colour)
+        return
+    for run, values in zip(progress, smooth, strict=True):
+        axes.plot(run[across] * unit, values, style, color=colour, alpha=0.25, linewidth=0.7)
+    n_shared = min(map(len, progress))  # as far as all of them have come
+    mean_across = np.mean([run[across][:n_shared] for run in progress], axis=0) * unit
+    values = np.array([run[:n_shared] for run in smooth])
+    mean, half = values.mean(axis=0), stats.t.ppf(0.975, len(values) - 1) * stats.sem(values, axis=0)
+    axes.plot(mean_across, mean, style, color=colour)
+    axes.fill_between(mean_across, mean - half, mean + half, color=colour, alpha=0.2, linewidth=0.0)

@@ -1,0 +1,98 @@
+import numpy as np
+import pytest
+from scipy import stats
+
+from rail_sumo import plot
+from rail_sumo.config import Config
+from rail_sumo.errors import InputError
+from rail_sumo.policy import Shape, Whitening
+from rail_sumo.rollout import LearnedDriver
+from rail_sumo.run_directory import PROGRESS_COLUMNS, Checkpoint, RunDirectory
+
+N_FEATURES = 48
+
+
+@pytest.fixture
+def run(tmp_path):
+    """Make a run whose every figure was these values, iteration by iteration."""
+
+    def make(name, values):
+        shape = Shape(N_FEATURES, 2)
+        clone = LearnedDriver(np.zeros(shape.size), shape, Whitening(np.zeros(N_FEATURES), np.ones(N_FEATURES)))
+        directory = RunDirectory.create(tmp_path / name, Config(), 0, {}, clone, {"weights": np.zeros(1)})
+        rows = tuple(
+            {column: float(value) for column in PROGRESS_COLUMNS}
+            | {"iteration": number, "environment_steps": 1_000_000 * number, "seconds": 120.0 * number}
+            for number, value in enumerate(values, 1)
+        )
+        directory.save(Checkpoint(clone.theta, {"weights": np.zeros(1)}, rows))
+        return tmp_path / name
+
+    return make
+
+
+def lines(figure, panel=0):
+    """(x, y) of each line with data."""
+    return [line.get_xydata() for line in figure.axes[panel].lines if len(line.get_xydata())]
+
+
+def test_a_runs_curve_is_its_running_mean_over_five_iterations(run):
+    figure = plot.learning_curves([run("mine-seed0", [70, 60, 60, 60, 60, 70, 71])])
+    (line,) = lines(figure)
+    np.testing.assert_allclose(line[:, 0], range(1, 8))  # millions of steps
+    np.testing.assert_allclose(line[:, 1], [70, 65, 190 / 3, 62.5, 62, 62, 64.2])
+
+
+def test_against_time_the_axis_is_in_minutes(run):
+    figure = plot.learning_curves([run("mine", [1, 2])], against="time")
+    assert lines(figure)[0][:, 0].tolist() == [2.0, 4.0]
+    assert figure.axes[2].get_xlabel() == "training, minutes"
+
+
+def test_runs_that_differ_by_their_seed_are_one_curve_with_a_confidence_band(run):
+    runs = [
+        run(f"mine-seed{seed}", [value] * length) for seed, (value, length) in enumerate([(60, 3), (66, 2), (63, 3)])
+    ]
+    figure = plot.learning_curves(runs)
+    *each, mean = lines(figure)
+    assert [len(line) for line in each] == [3, 2, 3]
+    np.testing.assert_allclose(mean, [[1, 63], [2, 63]])  # as far as all have come
+    (band,) = figure.axes[0].collections
+    half = stats.t.ppf(0.975, 2) * 3.0 / np.sqrt(3)  # the three values' standard deviation is 3
+    heights = band.get_paths()[0].vertices[:, 1]
+    assert (heights.min(), heights.max()) == pytest.approx((63 - half, 63 + half))
+
+
+def test_groups_have_curves_of_their_own_and_are_named_in_the_legend(run):
+    runs = [run(name, [1, 2]) for name in ("two-layer-0", "two-layer-1", "one-layer-0")]
+    figure = plot.learning_curves(runs)
+    assert [text.get_text() for text in figure.legends[0].get_texts()] == ["two-layer (2 runs)", "one-layer"]
+    assert len({line.get_color() for line in figure.axes[0].lines}) == 2
+
+
+def test_the_judges_two_means_share_a_panel(run):
+    assert len(lines(plot.learning_curves([run("mine", [1, 2])]), panel=3)) == 2
+
+
+def test_a_run_without_an_iteration_is_refused(run):
+    with pytest.raises(InputError, match=r"has no iteration to draw yet; train it first"):
+        plot.learning_curves([run("mine", [])])
+
+
+@pytest.mark.parametrize("suffix", ["png", "svg", "pdf"])
+def test_the_picture_is_of_the_kind_its_name_says(run, tmp_path, suffix):
+    begins = {"png": b"\x89PNG", "svg": b"<?xml", "pdf": b"%PDF"}
+    out = tmp_path / "pictures" / f"curves.{suffix}"
+    plot.save(plot.learning_curves([run("mine", [1, 2])]), out)
+    assert out.read_bytes().startswith(begins[suffix])
+    assert [path.name for path in out.parent.iterdir()] == [out.name]
+
+
+def test_what_cannot_be_written_is_refused_in_one_line(run, tmp_path):
+    figure = plot.learning_curves([run("mine", [1, 2])])
+    with pytest.raises(InputError, match=r"must end in \.png, \.svg or \.pdf; got 'curves\.jpg'"):
+        plot.save(figure, plot.Path("curves.jpg"))
+    (tmp_path / "there.png").write_text("mine")
+    with pytest.raises(InputError, match=r"exists; choose another, or replace it with --overwrite"):
+        plot.save(figure, tmp_path / "there.png")
+    assert (tmp_path / "there.png").read_text() == "mine"
