@@ -58,8 +58,12 @@ class HostState:
     to_left_m: float
     """Metres from the centre of its lane to that of the lane to the left; 0 where there is none."""
     to_right_m: float
-    ending_lanes: tuple[int, ...] = ()
-    """Lanes of this edge that do not lead on along the course."""
+    leads_on_m: tuple[float, ...]
+    """For each lane, from the rightmost: how far beyond the edge's end it leads on along the course; inf to its end."""
+
+    def ends_in_m(self, lane: int) -> float:
+        """Return how far ahead of the host a lane stops leading on along the course."""
+        return self.to_edge_end_m + self.leads_on_m[lane - self.rightmost_lane]
 
 
 @dataclass(frozen=True, slots=True)

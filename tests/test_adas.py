@@ -24,6 +24,7 @@ MIDDLE = HostState(
     lane_width_m=LANE_M,
     to_left_m=LANE_M,
     to_right_m=LANE_M,
+    leads_on_m=(math.inf,) * 5,
 )
 FREE = Gaps(ahead_m=math.inf, ahead_speed_mps=0.0, behind_m=math.inf, behind_speed_mps=0.0)
 CLOSED = dataclasses.replace(FREE, ahead_m=1.0)
@@ -369,10 +370,14 @@ def test_during_a_change_only_holding_or_turning_back_is_allowed(road):
 # Lanes that end.
 
 
+def ending(*lanes, after_m=0.0):
+    return tuple(after_m if lane in lanes else math.inf for lane in range(5))
+
+
 @pytest.mark.parametrize("action", [KEEP, ACCELERATE, DECELERATE, RIGHT])
 @pytest.mark.parametrize("lanes", [(0,), (0, 1)])
 def test_300_m_before_the_end_of_a_lane_the_host_leaves_it_whatever_is_decided(adas, action, lanes):
-    before = at(lane=0, to_edge_end_m=301.0, ending_lanes=lanes)
+    before = at(lane=0, to_edge_end_m=301.0, leads_on_m=ending(*lanes))
     adas.decide(action, before, free)
     assert not adas.changing_lane
     adas.decide(action, dataclasses.replace(before, to_edge_end_m=299.0), free)
@@ -383,26 +388,42 @@ def test_300_m_before_the_end_of_a_lane_the_host_leaves_it_whatever_is_decided(a
 
 @pytest.mark.parametrize(("lane", "side"), [(1, -1), (2, 1)])
 def test_a_lane_that_ends_is_left_towards_the_nearer_one_that_leads_on(adas, lane, side):
-    adas.decide(KEEP, at(lane=lane, to_edge_end_m=200.0, ending_lanes=(1, 2)), free)
+    adas.decide(KEEP, at(lane=lane, to_edge_end_m=200.0, leads_on_m=ending(1, 2)), free)
     assert adas.side == side
 
 
+def test_a_lane_that_ends_beyond_the_next_edges_is_left_as_early(adas):
+    before = at(lane=0, to_edge_end_m=60.0, leads_on_m=ending(0, after_m=241.0))
+    adas.decide(KEEP, before, free)
+    assert not adas.changing_lane
+    adas.decide(KEEP, dataclasses.replace(before, to_edge_end_m=58.0), free)
+    assert adas.side == 1
+
+
+def test_where_all_lanes_end_soon_the_host_makes_for_those_that_lead_on_farthest(adas):
+    adas.decide(KEEP, at(lane=0, to_edge_end_m=100.0, leads_on_m=(0.0, 50.0, 150.0, 150.0, 50.0)), free)
+    assert adas.side == 1
+    stays = Adas(config.Adas())
+    stays.decide(KEEP, at(lane=3, to_edge_end_m=100.0, leads_on_m=(0.0, 50.0, 150.0, 150.0, 50.0)), free)
+    assert not stays.changing_lane
+
+
 def test_the_end_of_a_lane_opens_no_gate(adas):
-    ending = at(lane=0, to_edge_end_m=200.0, ending_lanes=(0,))
-    adas.decide(KEEP, ending, closed_on(1))
+    near = at(lane=0, to_edge_end_m=200.0, leads_on_m=ending(0))
+    adas.decide(KEEP, near, closed_on(1))
     assert (adas.changing_lane, adas.refused_decisions) == (False, 0)
-    adas.decide(KEEP, ending, free)
+    adas.decide(KEEP, near, free)
     assert adas.changing_lane
 
 
 def test_where_every_lane_ends_or_none_the_host_stays(adas):
     for lanes in ((0, 1, 2, 3, 4), ()):
-        adas.decide(KEEP, at(to_edge_end_m=200.0, ending_lanes=lanes), free)
+        adas.decide(KEEP, at(to_edge_end_m=200.0, leads_on_m=ending(*lanes)), free)
         assert not adas.changing_lane
 
 
 def test_near_its_end_nobody_changes_into_a_lane_that_ends(adas):
-    beside = at(lane=1, to_edge_end_m=301.0, ending_lanes=(0,))
+    beside = at(lane=1, to_edge_end_m=301.0, leads_on_m=ending(0))
     assert adas.allowed(beside, free)[RIGHT]
     near = dataclasses.replace(beside, to_edge_end_m=299.0)
     assert adas.allowed(near, free) == [True, True, True, True, False]
@@ -513,7 +534,9 @@ def test_hands_off_leaves_the_speed_to_sumo_and_counts_its_lane_changes():
 
 def test_hands_off_does_not_take_new_lane_numbers_beyond_a_junction_for_lane_changes():
     adas = HandsOff()
-    junction = HostState(20.0, 0, 0, 0, to_edge_end_m=0.0, lane_width_m=0.0, to_left_m=0.0, to_right_m=0.0)
+    junction = HostState(
+        20.0, 0, 0, 0, to_edge_end_m=0.0, lane_width_m=0.0, to_left_m=0.0, to_right_m=0.0, leads_on_m=(math.inf,)
+    )
     for host in (at(lane=2, to_edge_end_m=1.0), junction, at(lane=1, to_edge_end_m=500.0), at(lane=1)):
         adas.command(host, free, steps=1)
     assert adas.lane_changes == 0

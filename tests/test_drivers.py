@@ -25,7 +25,7 @@ def leader(gap_m, speed_mps):
 
 def env(*, here=FREE, left=FREE, right=FREE, speed_mps=15.0, mask=ALL, changing=False):
     """What the rule driver asks of an environment."""
-    host = HostState(speed_mps, 2, 0, 4, 1000.0, 3.2, 3.2, 3.2)
+    host = HostState(speed_mps, 2, 0, 4, 1000.0, 3.2, 3.2, 3.2, (math.inf,) * 5)
     return SimpleNamespace(
         surroundings=lambda: (host, here, left, right), action_masks=lambda: mask, is_changing_lane=changing
     )

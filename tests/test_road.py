@@ -66,7 +66,8 @@ def course(file):
 def test_the_highway_is_one_straight_edge_between_two_guard_rails(name, lanes, half_width_m):
     highway = road.load(name)
     (only,) = highway.edges
-    assert (only.id, only.length_m, only.n_lanes, only.first_lane, only.ending_lanes) == ("highway", 8200, lanes, 0, ())
+    assert (only.id, only.length_m, only.n_lanes, only.first_lane) == ("highway", 8200, lanes, 0)
+    assert set(only.leads_on_m) == {math.inf}
     assert not highway.is_loop
     assert highway.boundaries == pytest.approx(
         np.array([[0, -half_width_m, 8200, -half_width_m], [0, half_width_m, 8200, half_width_m]])
@@ -85,7 +86,7 @@ def test_the_ring_runs_through_its_eight_edges_in_driving_order_and_closes():
     ring = road.load("ring5")
     assert [edge.id for edge in ring.edges] == [f"ring{k}" for k in range(8)]
     assert {edge.n_lanes for edge in ring.edges} == {5}
-    assert {edge.ending_lanes for edge in ring.edges} == {()}
+    assert {edge.leads_on_m for edge in ring.edges} == {(math.inf,) * 5}
     assert ring.is_loop
 
 
@@ -220,7 +221,35 @@ def test_among_ways_straight_on_the_one_with_most_lanes_is_the_course(network):
     )
     chosen = road.load(file)
     assert [edge.id for edge in chosen.edges] == ["a", "c"]
-    assert chosen.edges[0].ending_lanes == (0, 1)
+    assert chosen.edges[0].leads_on_m == (0.0, 0.0, math.inf, math.inf, math.inf)
+
+
+def test_a_lane_leads_on_over_as_many_edges_as_it_does(network):
+    file = network(
+        edge("a", lanes=3),
+        edge("b", lanes=3, x=(100.0, 250.0)),
+        edge("c", lanes=2, x=(250.0, 350.0)),
+        leads_on("a", "b", [0, 1, 2]),
+        leads_on("b", "c", [1, 2], to=[0, 1]),
+    )
+    assert [edge.leads_on_m for edge in road.load(file).edges] == [
+        (150.0, math.inf, math.inf),
+        (0.0, math.inf, math.inf),
+        (math.inf, math.inf),
+    ]
+
+
+def test_on_a_loop_too_a_lane_ends_where_it_leads_off(network):
+    file = network(
+        edge("a", lanes=3),
+        edge("b", lanes=3, x=(100.0, 250.0)),
+        leads_on("a", "b", [0, 1, 2]),
+        leads_on("b", "a", [1, 2]),
+    )
+    assert dict(zip(course(file), (edge.leads_on_m for edge in road.load(file).edges), strict=True)) == {
+        "a": (150.0, math.inf, math.inf),
+        "b": (0.0, math.inf, math.inf),
+    }
 
 
 def test_equal_chains_are_told_apart_by_id(network):

@@ -120,13 +120,13 @@ class Adas:
     def _open(self, side: Side, host: HostState, gaps: Callable[[int], Gaps]) -> bool:
         """Whether a change to this side may begin: there is a lane, road enough to cross over, and a gap.
 
-        Near the edge's end there is none into a lane that leads off the course, or farther away from it.
+        There is none into a lane that soon leads off the course, or farther away from it.
         """
         if not host.rightmost_lane <= host.lane + side <= host.leftmost_lane:
             return False
         if host.to_edge_end_m < host.speed_mps * _across(host, side) / self._config.lateral_speed_mps:
             return False
-        if host.to_edge_end_m < LEAVE_LANE_M and host.lane + side in host.ending_lanes and side != _way_on(host):
+        if host.ends_in_m(host.lane + side) < LEAVE_LANE_M and side != _way_on(host):
             return False
         return self._safe(host.speed_mps, gaps(side))
 
@@ -184,13 +184,16 @@ def _across(host: HostState, side: Side) -> float:
 
 
 def _way_on(host: HostState) -> Side | None:
-    """Return the side of the nearest lane that leads on, if the host must leave its own for it by now."""
-    if host.lane not in host.ending_lanes or host.to_edge_end_m >= LEAVE_LANE_M:
+    """Return the side of the nearest lane that leads on, if the host must leave its own for it by now.
+
+    Where all end soon, those that lead on farthest are the ones to reach.
+    """
+    ends_in_m = {lane: host.ends_in_m(lane) for lane in range(host.rightmost_lane, host.leftmost_lane + 1)}
+    far_enough_m = min(LEAVE_LANE_M, max(ends_in_m.values()))
+    if ends_in_m[host.lane] >= far_enough_m:
         return None
-    leading_on = set(range(host.rightmost_lane, host.leftmost_lane + 1)).difference(host.ending_lanes)
-    if not leading_on:
-        return None
-    return LEFT if min(leading_on, key=lambda lane: abs(lane - host.lane)) > host.lane else RIGHT
+    goals = [lane for lane, metres in ends_in_m.items() if metres >= far_enough_m]
+    return LEFT if min(goals, key=lambda lane: abs(lane - host.lane)) > host.lane else RIGHT
 
 
 def _stopping_gap(speed_mps: float, leader_mps: float, braking_mps2: float) -> float:

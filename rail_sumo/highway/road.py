@@ -44,10 +44,10 @@ class Edge:
     id: str
     length_m: float
     lane_widths_m: tuple[float, ...]
+    leads_on_m: tuple[float, ...]
+    """For each lane: how far beyond the edge's end it leads on along the course, junctions left out; inf to its end."""
     first_lane: int = 0
     """SUMO's index of the rightmost lane open to cars: above 0 beside a pavement or a bus lane."""
-    ending_lanes: tuple[int, ...] = ()
-    """SUMO's indices of the lanes that do not lead to the next edge of the course."""
 
     @property
     def n_lanes(self) -> int:
@@ -130,8 +130,9 @@ def load(file: str) -> Road:
 def warnings(road: Road) -> Iterator[str]:
     """Tell what makes it a poor course."""
     for edge in road.edges:
-        if edge.ending_lanes:
-            lanes = ", ".join(map(str, edge.ending_lanes))
+        ending = [lane for lane, leads_on_m in enumerate(edge.leads_on_m, edge.first_lane) if not leads_on_m]
+        if ending:
+            lanes = ", ".join(map(str, ending))
             yield f"lane {lanes} of edge '{edge.id}' does not lead on along the course; the host must leave it in time"
         if edge.length_m < SHORT_EDGE_M:
             yield (
@@ -170,7 +171,7 @@ def _load(path: Path) -> Road:
     return Road(
         net_file=path,
         name=path.name.removesuffix(".gz").removesuffix(assets.NETWORK_SUFFIX),
-        edges=tuple(_edge(edge, joint) for edge, joint in zip(course, joints, strict=True)),
+        edges=tuple(map(_edge, course, _leads_on_m(course, joints, is_loop))),
         junctions_m=tuple(_through_m(net, joint) for joint in joints),
         is_loop=is_loop,
         boundaries=boundaries,
@@ -281,15 +282,27 @@ def _rank(candidate: tuple[list[Any], bool]) -> tuple[float, list[str]]:
     return -length_m * (2 if is_loop else 1), [edge.getID() for edge in chain]
 
 
-def _edge(edge: Any, joint: list[Any]) -> Edge:
+def _leads_on_m(course: list[Any], joints: list[list[Any]], is_loop: bool) -> list[tuple[float, ...]]:
+    # For every edge's lanes how far they lead on, from the last edge back; twice round a loop, whose end is nowhere.
+    leads_on = [dict.fromkeys(_lanes(edge), math.inf) for edge in course]
+    backwards = range(len(course) - 1, -1, -1)
+    for k in [*backwards, *backwards] if is_loop else backwards[1:]:
+        ahead = (k + 1) % len(course)
+        leads_on[k] = dict.fromkeys(leads_on[k], 0.0)
+        for c in joints[k]:
+            farther = course[ahead].getLength() + leads_on[ahead][c.getToLane()]
+            leads_on[k][c.getFromLane()] = max(leads_on[k][c.getFromLane()], farther)
+    return [tuple(lanes.values()) for lanes in leads_on]
+
+
+def _edge(edge: Any, leads_on_m: tuple[float, ...]) -> Edge:
     lanes = _lanes(edge)
-    leading_on = {c.getFromLane() for c in joint}
     return Edge(
         id=edge.getID(),
         length_m=edge.getLength(),
         lane_widths_m=tuple(lane.getWidth() for lane in lanes),
+        leads_on_m=leads_on_m,
         first_lane=lanes[0].getIndex(),
-        ending_lanes=tuple(lane.getIndex() for lane in lanes if lane not in leading_on) if joint else (),
     )
 
 

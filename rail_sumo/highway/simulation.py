@@ -251,14 +251,14 @@ class Simulation:
         edge = self._edges.get(vehicle.getRoadID(HOST))
         speed, lane = vehicle.getSpeed(HOST), vehicle.getLaneIndex(HOST)
         if edge is None:
-            return HostState(speed, lane, lane, lane, 0.0, 0.0, 0.0, 0.0)
+            return HostState(speed, lane, lane, lane, 0.0, 0.0, 0.0, 0.0, (math.inf,))
         rightmost, leftmost = edge.first_lane, edge.first_lane + edge.n_lanes - 1
         to_end = edge.length_m - vehicle.getLanePosition(HOST)
         widths = edge.lane_widths_m
         here = lane - rightmost
         to_left = 0.5 * (widths[here] + widths[here + 1]) if lane < leftmost else 0.0
         to_right = 0.5 * (widths[here] + widths[here - 1]) if lane > rightmost else 0.0
-        return HostState(speed, lane, rightmost, leftmost, to_end, widths[here], to_left, to_right, edge.ending_lanes)
+        return HostState(speed, lane, rightmost, leftmost, to_end, widths[here], to_left, to_right, edge.leads_on_m)
 
     def gaps(self, side: int) -> Gaps:
         """Return the gaps in the host's own lane (0) or the one to its left (+1) or right (-1)."""
