@@ -142,15 +142,21 @@ class Search(_Section):
     """Augmented random search (Mania et al. 2018) over the policy's parameters."""
 
     n_directions: Count = 16
-    n_top: Count = 8
+    n_top: Count | Literal["all"] = "all"
+    """Only the best so many directions count, by the better return of either way."""
     step_size: Positive = 0.05
     noise_std: Positive = 0.05
     step_decay: Annotated[float, Field(gt=0.0, le=1.0)] = 0.99
     """The step size shrinks by this factor every iteration; 1 keeps it."""
 
+    @property
+    def kept(self) -> int:
+        """How many directions count."""
+        return self.n_directions if self.n_top == "all" else self.n_top
+
     @model_validator(mode="after")
     def _top(self) -> "Search":
-        if self.n_top > self.n_directions:
+        if self.kept > self.n_directions:
             raise ValueError(f"n_top {self.n_top} exceeds n_directions {self.n_directions}")
         return self
 
@@ -178,6 +184,8 @@ class Train(_Section):
     horizon_s: Positive = 200.0
     """Length of one training rollout. Much shorter than the demonstrations, and the judge tells young traffic from old
     instead of the learner from the expert."""
+    averaging: Annotated[float, Field(ge=0.0, lt=1.0)] = 0.95
+    """The learned policy is a running average of the search's: how much the past weighs in it; 0 takes the last."""
     evaluation_episodes: Count = 16
 
 

@@ -1,7 +1,7 @@
 import math
 import re
 import tomllib
-from typing import Annotated, get_args, get_origin
+from typing import Annotated, Union, get_args, get_origin
 
 import annotated_types
 import pytest
@@ -32,6 +32,8 @@ def values(annotation, constraints=()):
         return values(inner, [limit for field in metadata for limit in field.metadata])
     if get_origin(annotation) is tuple:
         return st.lists(values(get_args(annotation)[0]), max_size=3).map(tuple)
+    if get_origin(annotation) is Union:  # a number or a word: the number
+        return values(get_args(annotation)[0])
     if annotation is str:
         return st.text(st.characters(exclude_categories=["Cs"]), max_size=10)
     if annotation in (int, float):

@@ -176,7 +176,7 @@ def test_an_iteration_is_ask_drive_fit_judge_tell():
     assert events[0][1:] == (5 * N_DECISIONS, state.plus + state.minus)
     assert (events[1][2], events[2][2]) == (state.plus, state.minus)
 
-    search = RandomSearch(wrong_everywhere(), **SEARCH.model_dump(exclude={"step_decay"}))
+    search = RandomSearch(wrong_everywhere(), n_directions=8, n_top=4, step_size=0.05, noise_std=0.3)
     assert state.step_norm == pytest.approx(search.tell(deltas[0], events[1][1], events[2][1]))
     assert state.theta == pytest.approx(search.theta)
     assert [trajectory.seed for trajectory in state.plus] == [trajectory.seed for trajectory in state.minus]
