@@ -132,7 +132,7 @@ class Policy(_Section):
 class Cloning(_Section):
     """Behaviour cloning: softmax cross-entropy on whitened observations."""
 
-    epochs: Annotated[int, Field(ge=0)] = 30
+    epochs: Annotated[int, Field(ge=0)] = 100
     batch_size: Count = 256
     learning_rate: Positive = 1e-3
     weight_decay: NonNegative = 1e-4
@@ -180,11 +180,11 @@ class Train(_Section):
     demonstrations: str = "expert"
     """`expert` for the shipped expert's own, or a Parquet file that `rail-sumo expert record` wrote."""
     trajectories: Count = 40
-    iterations: Annotated[int, Field(ge=0)] = 120
+    iterations: Annotated[int, Field(ge=0)] = 160
     horizon_s: Positive = 200.0
     """Length of one training rollout. Much shorter than the demonstrations, and the judge tells young traffic from old
     instead of the learner from the expert."""
-    averaging: Annotated[float, Field(ge=0.0, lt=1.0)] = 0.95
+    averaging: Annotated[float, Field(ge=0.0, lt=1.0)] = 0.97
     """The learned policy is a running average of the search's: how much the past weighs in it; 0 takes the last."""
     evaluation_episodes: Count = 16
 
