@@ -14,7 +14,7 @@ import numpy as np
 import pandas as pd
 from scipy import stats
 
-from rail_sumo import config, metrics, rollout, run
+from rail_sumo import config, metrics, rollout, run, statistics
 from rail_sumo.imitation import rail
 from rail_sumo.imitation.demonstrations import Demonstrations
 from rail_sumo.imitation.discriminator import JudgeLoss
@@ -24,13 +24,14 @@ SHOWN = ["speed_kmh", "overtakes", "lane_changes", "lateral_reward", "collisions
 
 
 def seed_by_seed(layers: int, n_seeds: int, out: Path, overrides: list[str]) -> None:
-    rows = []
+    rows, driven = [], []
     for seed in range(n_seeds):
         folder = out / f"{'one' if layers == 1 else 'two'}-layer-{seed}"
         world = config.load(None, [f"policy.layers={layers}", *overrides])
         if not (folder / "episodes.parquet").exists():
             run.train(world, folder, seed=seed, workers=2, resume=folder.exists())
-        means = pd.read_parquet(folder / "episodes.parquet").groupby("policy")[SHOWN].mean()
+        driven.append(pd.read_parquet(folder / "episodes.parquet"))
+        means = driven[-1].groupby("policy")[SHOWN].mean()
         seconds = pd.read_csv(folder / "progress.csv")["seconds"].iloc[-1]
         ratios = means.loc["rail"] / means.loc["expert"]
         rows.append({
@@ -44,6 +45,30 @@ def seed_by_seed(layers: int, n_seeds: int, out: Path, overrides: list[str]) -> 
             "training_s": seconds,
         })  # fmt: skip
         print(pd.DataFrame(rows).round(3).to_string(index=False), flush=True)
+    print(over_all_seeds(driven).round(3).to_string(index=False))
+
+
+def over_all_seeds(driven: list[pd.DataFrame]) -> pd.DataFrame:
+    """Ratios of interquartile means to the expert's over all seeds' episodes, with 95 % intervals over both."""
+    rows = []
+    for metric in ("speed_kmh", "overtakes", "lane_changes", "lateral_reward"):
+        rail, clone, expert = (
+            np.array([table.loc[table["policy"] == policy, metric] for table in driven])
+            for policy in ("rail", "clone", "expert")
+        )
+        low, high = statistics.interval(statistics.ratio_of_iqms, rail, expert)
+        gain_low, gain_high = statistics.interval(statistics.mean_difference, rail, clone)
+        rows.append({
+            "metric": metric,
+            "rail/expert": statistics.ratio_of_iqms(rail, expert),
+            "low": low,
+            "high": high,
+            "rail-clone": statistics.mean_difference(rail, clone),
+            "low ": gain_low,
+            "high ": gain_high,
+            "P(rail above clone)": statistics.probability_of_improvement(rail, clone),
+        })  # fmt: skip
+    return pd.DataFrame(rows)
 
 
 class Indifferent:

@@ -11,18 +11,16 @@ import pandas as pd
 from rich.box import SIMPLE_HEAD
 from rich.markup import escape
 from rich.table import Table
-from scipy.stats import trim_mean
 
 from rail_sumo.errors import InputError
 from rail_sumo.records import EPISODE_COLUMNS, METRICS, SUMMARY_COLUMNS, Floats
+from rail_sumo.statistics import interval, iqm
 
 EXPERT = "expert"
 """The policy that ratios refer to."""
 
 DECIMALS = 6
 """Tables are rounded to this: finer than any simulation means, and any CSV reader gives back the very same number."""
-
-N_RESAMPLES = 10_000
 
 
 def episodes(rows: Iterable[dict[str, Any]]) -> pd.DataFrame:
@@ -34,7 +32,7 @@ def summary(episodes: pd.DataFrame) -> pd.DataFrame:
     """Return the `summary` table: a row per policy and metric, over that policy's episodes.
 
     `iqm` is the interquartile mean (the mean of the middle half of the episodes), `low` and `high` its 95 %
-    percentile-bootstrap interval over episodes. The resamples are the same for every policy and every call.
+    percentile-bootstrap interval over episodes (see `statistics`).
     `ratio_to_expert` is the ratio of the means; every policy drives on the same traffic, so it is a paired
     comparison. It is NaN where the expert was not evaluated beside or its mean is 0.
 
@@ -46,13 +44,13 @@ def summary(episodes: pd.DataFrame) -> pd.DataFrame:
     for policy, driven in episodes.groupby("policy", sort=False):
         for metric in METRICS:
             values, reference = _finite(driven[metric]), _finite(expert[metric])
-            low, high = _interval(values)
+            low, high = interval(iqm, values[None]) if len(values) else (np.nan, np.nan)
             rows.append(
                 {
                     "policy": policy,
                     "metric": metric,
                     "mean": _mean(values),
-                    "iqm": float(trim_mean(values, 0.25)) if len(values) else np.nan,
+                    "iqm": float(iqm(values[None])) if len(values) else np.nan,
                     "low": low,
                     "high": high,
                     "ratio_to_expert": _mean(values) / (_mean(reference) or np.nan),
@@ -140,12 +138,3 @@ def _finite(values: pd.Series) -> Floats:
 
 def _mean(values: Floats) -> float:
     return float(values.mean()) if len(values) else np.nan
-
-
-def _interval(values: Floats) -> tuple[float, float]:
-    """Return the percentile-bootstrap 95 % interval of the interquartile mean; NaN for no values."""
-    if not len(values):
-        return np.nan, np.nan
-    resamples = np.random.default_rng(0).choice(values, size=(N_RESAMPLES, len(values)))
-    low, high = np.percentile(trim_mean(resamples, 0.25, axis=1), [2.5, 97.5])
-    return float(low), float(high)
