@@ -3,7 +3,8 @@
     python benchmarks/learning.py --seeds 5 --layers 2      # trains runs/learning/two-layer-SEED, prints every seed
     python benchmarks/learning.py --control                 # RAIL under judges that know nothing, against its clone
 
-Runs that exist already are read, not trained again. Every figure is a mean over held-out traffic.
+Runs that exist already are read, not trained again. A seed's figures are means over held-out traffic; those over all
+seeds are interquartile means with intervals, which of few seeds are too narrow (see `rail_sumo.statistics`).
 """
 
 import argparse
@@ -122,7 +123,7 @@ def control(folder: Path, iterations: int, episodes: int) -> None:
             return np.array([metrics.row(trajectory, world.adas)["speed_kmh"] for trajectory in driven])
 
         by_clone = speeds(clone)
-        contenders = {"rail's judge": speeds(learned.policy(world))}
+        contenders = {"rail's judge, the whole training": speeds(learned.policy(world))}
         for name, judge in (("constant judge", Indifferent()), ("coin toss", CoinToss())):
             states = rail.train(
                 clone.theta, none, search=world.search, judge=judge, evaluate=evaluate, seed=learned.seed

@@ -35,6 +35,7 @@ from rail_sumo import cli  # noqa: F401  spawned workers import this module agai
 from rail_sumo.config import Config, load
 from rail_sumo.highway import road
 from rail_sumo.highway.lidar import Boxes, Lidar
+from rail_sumo.highway.simulation import HOST
 from rail_sumo.policy import Policy
 from rail_sumo.records import SECONDS_PER_STEP
 from rail_sumo.rollout import EVALUATION, LearnedDriver, Task, Workers, drive, traffic_seed, workers
@@ -232,7 +233,7 @@ def look(vehicle: Any, name: str) -> tuple[float, ...]:
 
 def decide(policy: Policy, lidar: Lidar, vehicles: dict[str, tuple[float, ...]]) -> int:
     """Scan from the host and ask the policy."""
-    host = vehicles.pop("host", None)
+    host = vehicles.pop(HOST, None)
     if host is None:
         return 0
     x, y, heading, speed, length, width = np.array([host, *vehicles.values()]).T

@@ -38,6 +38,7 @@ ConfigFile = Annotated[Path | None, typer.Argument(metavar="CONFIG.toml", help="
 Overrides = Annotated[
     list[str] | None, typer.Option("--set", metavar="SECTION.KEY=VALUE", help="Change one key; repeatable.")
 ]
+Routes = Annotated[list[str] | None, typer.Option(metavar="FILE", help="Your own demand; repeatable.")]
 _SEED = "Everything random follows from it."
 Seed = Annotated[int, typer.Option(min=0, help=_SEED)]
 Workers = Annotated[str, typer.Option(metavar="N|ray", help="Processes that drive.", show_default="as many as cores")]
@@ -59,7 +60,7 @@ def train(
     overrides: Overrides = None,
     out: Annotated[Path | None, typer.Option(help="Run directory.", show_default="runs/CONFIG-seedS")] = None,
     workers: Workers = "",
-    resume: Annotated[bool, typer.Option("--resume", help="Go on with an interrupted run.")] = False,
+    resume: Annotated[bool, typer.Option("--resume", help="Go on with a run.")] = False,
     seed: Annotated[int | None, typer.Option(min=0, help=_SEED, show_default="0")] = None,
 ) -> None:
     """Learn a driver from demonstrations and set it beside its clone and the expert."""
@@ -87,7 +88,7 @@ def train(
 def evaluate(
     policies: Annotated[list[str], typer.Argument(metavar="POLICY...", help="Run directories and drivers' names.")],
     network: Annotated[str | None, typer.Option(metavar="FILE", help="A .net.xml or a shipped network's name.")] = None,
-    routes: Annotated[list[str] | None, typer.Option(metavar="FILE", help="Your own demand; repeatable.")] = None,
+    routes: Routes = None,
     overrides: Overrides = None,
     episodes: Annotated[int, typer.Option(help="Episodes per policy, on the same traffic for all.")] = 16,
     seed: Seed = 0,
@@ -104,10 +105,7 @@ def evaluate(
     if out:
         report.check(out, overwrite=overwrite)
     n_workers = _workers(workers)
-    # Strings in JSON are strings in TOML.
-    given = [f"network.file={json.dumps(network)}"] if network else []
-    given += [f"traffic.routes={json.dumps(routes)}"] if routes else []
-    world = run.world(policies, [*given, *(overrides or ())])
+    world = run.world(policies, _world(network, routes, overrides))
     who = {policy: run.find_driver(policy, world) for policy in policies}
     with _bars() as observer:
         tables = run.evaluate(who, world, episodes=episodes, seed=seed, workers=n_workers, observer=observer)
@@ -181,11 +179,15 @@ def record(
 
 
 @network.command()
-def check(file: Annotated[str, typer.Argument(help="A .net.xml or a shipped network's name.")]) -> None:
+def check(
+    file: Annotated[str, typer.Argument(help="A .net.xml or a shipped network's name.")],
+    routes: Routes = None,
+    overrides: Overrides = None,
+) -> None:
     """Tell where on a network rail-sumo would drive, and what may go wrong there."""
     from rail_sumo import run
 
-    course, warnings = run.check(config.load(None, [f"network.file={json.dumps(file)}"]))
+    course, warnings = run.check(config.load(None, _world(file, routes, overrides)))
     print(_describe(course))
     print(f"edges: {_shortened([edge.id for edge in course.edges])}")
     for warning in warnings:
@@ -200,6 +202,14 @@ def list_networks() -> None:
 
     for name in assets.network_names():
         print(_describe(road.load(name)))
+
+
+def _world(network: str | None, routes: list[str] | None, overrides: list[str] | None) -> list[str]:
+    """Return the options that choose a world as overrides of the configuration."""
+    # Strings in JSON are strings in TOML.
+    given = [f"network.file={json.dumps(network)}"] if network else []
+    given += [f"traffic.routes={json.dumps(routes)}"] if routes else []
+    return [*given, *(overrides or ())]
 
 
 def _describe(road: "Road") -> str:

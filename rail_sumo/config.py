@@ -197,7 +197,7 @@ class Expert(_Section):
     horizon_s: Positive = 300.0
     hidden: tuple[Count, ...] = (128, 128)
     learning_rate: Positive = 4e-4
-    """Falls to 0 over the training."""
+    """Falls evenly over the training, towards 0."""
     discount: Annotated[float, Field(gt=0.0, lt=1.0)] = 0.995
     decisions_per_update: Count = 2048
     batch_size: Annotated[int, Field(ge=2)] = 64
@@ -292,12 +292,17 @@ def _apply(tree: dict[str, Any], override: str) -> None:
 
 
 def _explain(error: ValidationError) -> str:
-    first = error.errors()[0]
-    location = ".".join(str(part) for part in first["loc"])
-    more = f" (and {error.error_count() - 1} more)" if error.error_count() > 1 else ""
+    by_key: dict[tuple[int | str, ...], list[Any]] = {}  # a key of two types has an error of each, named after it
+    for one in error.errors():
+        key = (*one["loc"][:2], *(part for part in one["loc"][2:] if isinstance(part, int)))
+        by_key.setdefault(key, []).append(one)
+    (key, (first, *others)), *rest = by_key.items()
+    location = ".".join(map(str, key))
+    more = f" (and {len(rest)} more)" if rest else ""
     if first["type"] == "extra_forbidden":
         return f"configuration: unknown key '{location}'{_suggest(first['loc'])}{more}"
-    message = first["msg"].removeprefix("Value error, ")
+    message = " or ".join([first["msg"].removeprefix("Value error, "), *(other["msg"] for other in others)])
+    message = message.replace(" or Input should be", " or")
     given = "" if isinstance(first["input"], dict) else f", got {first['input']!r}"
     return ": ".join(filter(None, ["configuration", location, f"{message}{given}{more}"]))
 

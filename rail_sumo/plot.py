@@ -1,5 +1,6 @@
 """Learning curves of one or many runs, as a picture. Needs matplotlib, the extra `plots`."""
 
+import itertools
 import re
 from collections.abc import Sequence
 from pathlib import Path
@@ -38,8 +39,8 @@ _COLOURS = ("#0072b2", "#d55e00", "#009e73", "#cc79a7", "#e69f00", "#56b4e9", "#
 def learning_curves(runs: Sequence[Path], against: Against = "steps") -> "Figure":
     """Draw how training went, over the rollouts that it went by: those of perturbed policies in training traffic.
 
-    Runs whose names differ in a number at their end alone (`mine-seed0`, `mine-seed1`) are one curve: their mean, with
-    the 95 % confidence band of the mean (Student's t) and each run as a thin line.
+    Runs in one folder whose names differ in a number at their end alone (`mine-seed0`, `mine-seed1`) are one curve:
+    their mean, with the 95 % confidence band of the mean (Student's t) and each run as a thin line.
 
     Args:
         runs: run directories.
@@ -52,29 +53,30 @@ def learning_curves(runs: Sequence[Path], against: Against = "steps") -> "Figure
         from matplotlib.figure import Figure
     except ImportError:
         raise InputError("plotting needs matplotlib; install it with: pip install 'rail-sumo[plots]'") from None
-    groups: dict[str, list[pd.DataFrame]] = {}
-    for run in runs:
-        groups.setdefault(group_of(run), []).append(_progress(run))
+    groups: dict[Path, list[pd.DataFrame]] = {}
+    for path, run in {run.resolve(): run for run in runs}.items():
+        groups.setdefault(group_of(path), []).append(_progress(run))
+    colours = [colour for colour, _ in zip(itertools.cycle(_COLOURS), groups, strict=False)]
     column, unit, label = _ACROSS[against]
     figure = Figure(figsize=(9.0, 6.0), layout="constrained")
     for axes, (title, lines) in zip(figure.subplots(2, 2, sharex=True).flat, _PANELS.items(), strict=True):
-        for index, progress in enumerate(groups.values()):
+        for progress, colour in zip(groups.values(), colours, strict=True):
             for drawn, style in lines.items():
-                _draw(axes, progress, column, unit, drawn, style, _COLOURS[index % len(_COLOURS)])
+                _draw(axes, progress, column, unit, drawn, style, colour)
         axes.set_title(title, loc="left", fontsize="medium")
         axes.grid(alpha=0.3)
         axes.spines[["top", "right"]].set_visible(False)
     for axes in figure.axes[2:]:
         axes.set_xlabel(label)
-    handles = [figure.axes[0].plot([], [], color=colour)[0] for _, colour in zip(groups, _COLOURS, strict=False)]
-    counts = [f"{name} ({len(progress)} runs)" if len(progress) > 1 else name for name, progress in groups.items()]
+    handles = [figure.axes[0].plot([], [], color=colour)[0] for colour in colours]
+    counts = [f"{at.name} ({len(runs)} runs)" if len(runs) > 1 else at.name for at, runs in groups.items()]
     figure.legend(handles, counts, loc="outside upper center", ncols=min(len(counts), 3), frameon=False)
     return figure
 
 
-def group_of(run: Path) -> str:
-    """Return the run's name without the seed at its end."""
-    return re.sub(r"-(seed)?\d+$", "", run.resolve().name)
+def group_of(run: Path) -> Path:
+    """Return the run's path without the seed at its end."""
+    return run.with_name(re.sub(r"-(seed)?\d+$", "", run.name))
 
 
 def save(figure: "Figure", out: Path, *, overwrite: bool = False) -> None:

@@ -94,7 +94,7 @@ def workers(number: int | Literal["ray"]) -> Iterator[Workers]:
     Ctrl-C to the parent.
 
     Raises:
-        InputError: Ray is wanted and not installed, or a process died.
+        InputError: Ray is wanted and not installed, or a process of the pool died.
     """
     if number == 1:
         yield _Serial()
@@ -108,7 +108,8 @@ def workers(number: int | Literal["ray"]) -> Iterator[Workers]:
     executor = ProcessPoolExecutor(number, spawn, initializer=signal.signal, initargs=ignore)
     before = signal.signal(*ignore)  # the workers inherit it, so none is interrupted while it starts
     try:
-        executor.submit(int)  # starts all of them
+        for _ in range(number):
+            executor.submit(int)  # each starts one
     finally:
         signal.signal(signal.SIGINT, before)
     try:

@@ -179,8 +179,9 @@ def train(
     by kill -9 too, and with `resume` goes on to the very same policy, or to more iterations.
 
     Raises:
-        InputError: `out` exists, or with `resume` is no run of this configuration and seed; anything that is wrong
-            with the configuration, the network, the demand or the demonstrations.
+        InputError: `out` exists, or with `resume` is no run of this configuration, seed and files, or one of more
+            iterations already; anything that is wrong with the configuration, the network, the demand or the
+            demonstrations.
     """
     if not resume:
         require_new(out)
@@ -209,7 +210,7 @@ def check(world: Config) -> tuple[road.Road, list[str]]:
     if drivable_m < world.episode.course_m:
         warnings.append(
             f"the road ends {drivable_m:.0f} m after the host's start, and so will episodes of "
-            f"{world.episode.course_m:.0f} m; set episode.course_m to {drivable_m:.0f} or less"
+            f"{world.episode.course_m:.0f} m; set episode.course_m to {math.floor(drivable_m)} or less"
         )
     return course, [*warnings, *road.warnings(course)]
 
@@ -326,7 +327,7 @@ def _rollouts(
 
 
 def _averaged(policy: Floats, state: "RailState", averaging: float) -> Floats:
-    """Return the running average of theta after an iteration, without the clone (its weights as Adam corrects his)."""
+    """Return the running average of theta after an iteration; corrected for its start, the clone, as in Adam."""
     weight = (1.0 - averaging) / (1.0 - averaging**state.iteration)
     return policy + weight * (state.theta - policy)
 

@@ -36,6 +36,8 @@ def interval(
 ) -> tuple[float, float]:
     """Return the 95 % percentile-bootstrap interval of a statistic.
 
+    Of few trainings it is too narrow: of five it holds the truth in some 89 of 100 cases, of forty in 94.
+
     Trainings are drawn with replacement, and within each its episodes. Several scores are drawn together, episode by
     episode: they are of drivers on the same traffic. The same scores always give the same interval.
 

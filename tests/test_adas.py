@@ -367,6 +367,19 @@ def test_during_a_change_only_holding_or_turning_back_is_allowed(road):
     assert road.adas.allowed(road.host, free) == [True, False, False, False, False]
 
 
+def test_between_lanes_of_unequal_width_the_host_crosses_before_the_border_and_ends_in_the_centre(adas):
+    wide = at(lane_width_m=4.5, to_left_m=3.85)
+    adas.decide(LEFT, wide, free)
+    commands = []
+    while adas.changing_lane:
+        commands.append(adas.command(wide, free, steps=1))
+    crossed = next(number for number, command in enumerate(commands, 1) if command.cross)
+    assert crossed == 12  # the first stride beyond 2.25 - 0.25 m
+    assert commands[crossed - 1].lateral_m == pytest.approx(12 * STRIDE_M - 3.85)
+    assert len(commands) == 23  # 3.85 / 0.17 = 22.6
+    assert commands[-1].lateral_m == pytest.approx(0.0)
+
+
 # Lanes that end.
 
 

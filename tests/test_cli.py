@@ -6,7 +6,11 @@ import pandas as pd
 import pytest
 
 from rail_sumo import cli, config, run
+from rail_sumo.errors import InputError
 from rail_sumo.highway.observation import feature_names
+from rail_sumo.policy import Shape, Whitening
+from rail_sumo.rollout import LearnedDriver
+from rail_sumo.run_directory import PROGRESS_COLUMNS, Checkpoint, RunDirectory
 
 
 @pytest.fixture
@@ -56,6 +60,11 @@ BAD = {
     "train no.toml": "configuration 'no.toml' is not valid TOML: ",
     "train --set search.noise=1": "configuration: unknown key 'search.noise'; did you mean 'search.noise_std'? (",
     "train --set traffic.vehicles=many": "configuration: traffic.vehicles: Input should be a valid integer, got 'many'",
+    "train --set search.n_top=best": "configuration: search.n_top: Input should be a valid integer or 'all', got ",
+    "train --set expert.batch_size=100": "configuration: expert: decisions_per_update 2048 must be a multiple of batch",
+    "expert record --out o.parquet --driver sumo": "driver 'sumo' takes no decisions that could be recorded; take rule",
+    "plot none": "run directory 'none' not found",
+    "plot cut": "'cut/clone.safetensors' is truncated or damaged (",
     "train --set traffic.vehicles=-1": "configuration: traffic.vehicles: Input should be greater than or equal to 0, g",
     "train --set nonsense": "--set takes section.key=value, for example traffic.vehicles=30; got 'nonsense'",
     "train --out exists": "output folder 'exists' exists; go on with it by --resume, or choose another with --out",
@@ -135,6 +144,46 @@ def test_network_and_routes_go_into_the_world(rail_sumo, monkeypatch):
     assert worlds[0].network.file == "highway3"
     assert rail_sumo("eval", "keep", "--routes", "highway5", "--episodes", "1", *SHORT)[0] == 0
     assert worlds[1].traffic.routes == ("highway5",)
+
+
+def test_check_tells_the_edges_and_where_the_road_ends_too_soon(rail_sumo):
+    assert rail_sumo("network", "check", "highway5")[1] == "highway5: road of 8,200 m with 5 lanes\nedges: highway\n"
+    longer = ("--set", "episode.course_m=8000")
+    assert rail_sumo("network", "check", "highway5", *longer)[1].splitlines()[2] == (
+        "warning: the road ends 7928 m after the host's start, and so will episodes of 8000 m; "
+        "set episode.course_m to 7927 or less"
+    )
+    demanding = ("--set", "traffic.behind_m=2000", "--set", "episode.course_m=7000")
+    assert "warning" in rail_sumo("network", "check", "highway5", *demanding)[1]
+    assert "warning" not in rail_sumo("network", "check", "highway5", "--routes", "highway5", *demanding)[1]
+
+
+@pytest.fixture
+def a_run(tmp_path):
+    """A run directory of one iteration, started with other than the default configuration."""
+    shape = Shape(48, 1)
+    clone = LearnedDriver(np.zeros(shape.size), shape, Whitening(np.zeros(48), np.ones(48)))
+    judge = {"weights": np.zeros(1)}
+    started = RunDirectory.create(tmp_path / "mine", config.load(None, ["search.noise_std=0.07"]), 4, {}, clone, judge)
+    started.save(Checkpoint(clone.theta, clone.theta, judge, (dict.fromkeys(PROGRESS_COLUMNS, 1.0),)))
+
+
+def test_resumed_with_an_override_the_rest_of_the_configuration_is_the_runs(rail_sumo, monkeypatch, a_run):
+    def train(chosen, out, *, seed, resume, **named):
+        assert (chosen.search.noise_std, chosen.train.iterations, seed, resume) == (0.07, 500, 4, True)
+        raise InputError("come so far")
+
+    monkeypatch.setattr(run, "train", train)
+    code, _, err = rail_sumo("train", "--out", "mine", "--resume", "--set", "train.iterations=500")
+    assert (code, err) == (2, "rail-sumo: come so far\n")
+
+
+def test_learning_curves_are_drawn_once(rail_sumo, tmp_path, a_run):
+    assert rail_sumo("plot", "mine", "--out", "curves.svg") == (0, "learning curves in curves.svg\n", "")
+    assert (tmp_path / "curves.svg").read_text().startswith("<?xml")
+    code, _, err = rail_sumo("plot", "mine", "--out", "curves.svg")
+    assert code == 2
+    assert err.startswith("rail-sumo: output file 'curves.svg' exists; choose another")
 
 
 def test_interrupted_training_says_how_to_go_on(rail_sumo, monkeypatch, tmp_path):

@@ -86,12 +86,14 @@ def test_a_failure_leaves_nothing_behind(tmp_path, monkeypatch):
 
 def test_ppo_folds_its_scale_into_the_first_layer():
     """The network that is read out must decide on plain observations as the trained one did on scaled ones."""
-    tiny = config.load(None, ["expert.decisions=65", "expert.decisions_per_update=64", "expert.hidden=[4]"])
+    tiny = config.load(None, ["expert.decisions=50", "expert.decisions_per_update=64", "expert.hidden=[4]"])
 
-    def train(seed, **changes):
-        return ppo.train(tiny.model_copy(update=changes), seed, itertools.count(seed))
+    def train(seed, told=lambda _: None, **changes):
+        return ppo.train(tiny.model_copy(update=changes), seed, itertools.count(seed), told)
 
-    first, second, other = train(3), train(3), train(4)
+    counts = []
+    first, second, other = train(3, counts.append), train(3), train(4)
+    assert counts[-1] == tiny.expert.updates * 64 == 64  # whole updates
     unmoved = train(3, expert=tiny.expert.model_copy(update={"learning_rate": 1e-12}))
     for (weights, biases), (same_weights, same_biases) in zip(first, second, strict=True):
         np.testing.assert_array_equal(weights, same_weights)
@@ -101,6 +103,6 @@ def test_ppo_folds_its_scale_into_the_first_layer():
     scale = ppo.scale_of(tiny, N_FEATURES)
     assert scale[0] == tiny.lidar.max_range_m
     assert scale[24] == 10.0
-    # Orthogonal initialisation at gain sqrt(2) gives rows of that length; two updates hardly move them.
+    # Orthogonal initialisation at gain sqrt(2) gives rows of that length; one update hardly moves them.
     rows = np.linalg.norm(first[0][0] * scale, axis=1)
     assert rows == pytest.approx(np.full(4, np.sqrt(2)), rel=0.05)

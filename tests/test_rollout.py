@@ -1,6 +1,7 @@
 import dataclasses
 import itertools
 import math
+import multiprocessing
 import os
 import pickle
 import re
@@ -48,6 +49,12 @@ def in_a_worker(task):
     """Drive, and tell what the process that drove has loaded."""
     drive(task)
     return os.getpid(), "libsumo" in sys.modules, "torch" in sys.modules
+
+
+def test_all_workers_are_started_before_anything_is_driven():
+    before = set(multiprocessing.active_children())
+    with workers(3):
+        assert len(set(multiprocessing.active_children()) - before) == 3
 
 
 def die(_):

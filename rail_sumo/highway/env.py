@@ -107,9 +107,8 @@ class HighwayEnv(gymnasium.Env[Floats, np.int64]):
             simulation.run_without_host(traffic.warm_up_s)
             if not simulation.on_road():
                 raise InputError(
-                    f"the demand brings nobody onto the road from {traffic.begin_s:.0f} s to "
-                    f"{traffic.begin_s + traffic.warm_up_s:.0f} s; set traffic.begin_s to when it does, or lengthen "
-                    f"traffic.warm_up_s"
+                    f"of the demand nobody is on the road at {traffic.begin_s + traffic.warm_up_s:.0f} s; set "
+                    f"traffic.begin_s to when somebody is, or lengthen traffic.warm_up_s"
                 )
         simulation.add_host(edges, lane=lane, front_m=place[1], speed_mps=adas.start_speed_kmh / KMH)
         self._traffic: Traffic = Demand()

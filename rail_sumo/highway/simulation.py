@@ -246,11 +246,11 @@ class Simulation:
         return size
 
     def host(self) -> HostState:
-        """Return where the host stands on its edge."""
+        """Return where the host stands on its edge; off the course's lanes, as on a junction, none is beside it."""
         vehicle = libsumo.vehicle
         edge = self._edges.get(vehicle.getRoadID(HOST))
         speed, lane = vehicle.getSpeed(HOST), vehicle.getLaneIndex(HOST)
-        if edge is None:
+        if edge is None or not edge.first_lane <= lane < edge.first_lane + edge.n_lanes:  # on a junction, or strayed
             return HostState(speed, lane, lane, lane, 0.0, 0.0, 0.0, 0.0, (math.inf,))
         rightmost, leftmost = edge.first_lane, edge.first_lane + edge.n_lanes - 1
         to_end = edge.length_m - vehicle.getLanePosition(HOST)
@@ -333,8 +333,8 @@ class Simulation:
         self._held = {}
 
     def run_without_host(self, seconds: float) -> None:
-        """Let the traffic drive, before the host is watched."""
-        _step(libsumo.simulation.getTime() + seconds)
+        """Let the traffic drive, for one step at least, before the host is watched."""
+        _step(libsumo.simulation.getTime() + max(seconds, SECONDS_PER_STEP))
 
     def _count_collisions(self) -> bool:
         """Count contacts of the host; those among the others are none of its business."""
