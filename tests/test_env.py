@@ -1,6 +1,7 @@
 import dataclasses
 import functools
 import math
+import re
 import signal
 import xml.etree.ElementTree as ElementTree
 
@@ -590,6 +591,25 @@ def test_between_lanes_of_unequal_width_the_host_moves_evenly_and_crosses_before
     across = np.diff([scene.y_m[0] for scene in watched().scenes])
     assert driven.lane_changes > 3
     assert np.abs(across).max() < 0.18  # 1.7 m/s
+
+
+def test_a_host_that_strays_beyond_a_bicycle_lane_drives_on_there(make, tmp_path):
+    path = tmp_path / "split.net.xml"
+    lane = '<lane id="narrow_{0}" index="{0}" {1} speed="36.11" length="996.00" shape="1004,{2} 2000,{2}"/>'
+    lanes = [(0, "", -11.2), (1, 'allow="bicycle"', -8.0), (2, "", -4.8), (3, "", -1.6)]
+    split = re.sub(
+        r'    <lane id="narrow_0".*?narrow_1"[^>]*>', "".join(lane.format(*one) for one in lanes), MERGE, flags=re.S
+    )
+    split = re.sub(r'(to="narrow" fromLane="\d" toLane=)"(\d)"', lambda at: f'{at[1]}"{int(at[2]) + 2}"', split)
+    path.write_text(split)
+    env = make(world(network={"file": str(path)}, traffic=EMPTY, episode={"duration_s": 300.0}))
+    env.reset(seed=1)
+    libsumo.vehicle.moveTo(HOST, "narrow_0", 50.0)
+    decide = at_random(1)
+    for _ in range(20):
+        env.drive(decide(env))
+    assert env.trajectory().lane_changes == 0
+    assert libsumo.vehicle.getLaneID(HOST) == "narrow_0"
 
 
 @pytest.mark.parametrize("length_m", [150.0, 250.0, 272.0])
