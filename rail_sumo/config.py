@@ -184,8 +184,6 @@ class Train(_Section):
     horizon_s: Positive = 200.0
     """Length of one training rollout. Much shorter than the demonstrations, and the judge tells young traffic from old
     instead of the learner from the expert."""
-    averaging: Annotated[float, Field(ge=0.0, lt=1.0)] = 0.97
-    """The learned policy is a running average of the search's: how much the past weighs in it; 0 takes the last."""
     evaluation_episodes: Count = 16
 
 

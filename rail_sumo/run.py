@@ -301,8 +301,7 @@ def _improve(run: RunDirectory, demonstrations: Demonstrations, workers: WorkerC
         )
         for state in itertools.islice(states, n_iterations - checkpoint.iteration):
             row = _progress(state, judge, checkpoint.progress, time.perf_counter() - started)
-            policy = _averaged(checkpoint.policy, state, run.config.train.averaging)
-            checkpoint = Checkpoint(state.theta, policy, judge.state(), (*checkpoint.progress, row))
+            checkpoint = Checkpoint(state.theta, judge.state(), (*checkpoint.progress, row))
             run.save(checkpoint)
             observer.advance(row)
 
@@ -324,12 +323,6 @@ def _rollouts(
     ]
     driven = list(pool.map(rollout.drive, tasks))
     return driven[: len(perturbations)], driven[len(perturbations) :]
-
-
-def _averaged(policy: Floats, state: "RailState", averaging: float) -> Floats:
-    """Return the running average of theta after an iteration; corrected for its start, the clone, as in Adam."""
-    weight = (1.0 - averaging) / (1.0 - averaging**state.iteration)
-    return policy + weight * (state.theta - policy)
 
 
 def _progress(state: "RailState", judge: "Judge", before: tuple[Row, ...], seconds: float) -> Row:

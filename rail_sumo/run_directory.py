@@ -61,9 +61,6 @@ class Checkpoint:
     """Where training stands after an iteration; without progress, at the clone."""
 
     theta: Floats
-    """Where the search goes on from."""
-    policy: Floats
-    """What has been learned: a running average of theta."""
     judge: Tensors
     progress: tuple[Row, ...] = ()
 
@@ -115,7 +112,7 @@ class RunDirectory:
                 _replace(
                     whole / CLONE, _driver_bytes(clone, {"seed": seed, "inputs": dict(inputs), "features": features})
                 )
-                cls(whole).save(Checkpoint(clone.theta, clone.theta, judge))
+                cls(whole).save(Checkpoint(clone.theta, judge))
                 whole.rename(path)
         except OSError as error:
             raise InputError(f"cannot write run directory '{path}': {error.strerror or error}") from None
@@ -146,7 +143,7 @@ class RunDirectory:
         path = self.path / CHECKPOINT
         tensors, about = _read(path)
         try:
-            return Checkpoint(tensors.pop("theta"), tensors.pop("policy"), tensors, tuple(about["progress"]))
+            return Checkpoint(tensors.pop("theta"), tensors, tuple(about["progress"]))
         except KeyError as error:
             raise _damaged(path, error) from None
 
@@ -156,12 +153,12 @@ class RunDirectory:
         Raises:
             InputError: the disk is full, or the directory cannot be written.
         """
-        learned = replace(self.clone, theta=checkpoint.policy)
+        learned = replace(self.clone, theta=checkpoint.theta)
         _replace(self.path / POLICY, _driver_bytes(learned, self._about | {"iteration": checkpoint.iteration}))
         _replace(self.path / JUDGE, _bytes(checkpoint.judge, {"iteration": checkpoint.iteration}))
         _replace(self.path / PROGRESS, _csv(checkpoint.progress))
         # Last, so that whatever is newer than it will be written again.
-        tensors = {"theta": checkpoint.theta, "policy": checkpoint.policy, **checkpoint.judge}
+        tensors = {"theta": checkpoint.theta, **checkpoint.judge}
         _replace(self.path / CHECKPOINT, _bytes(tensors, {"progress": checkpoint.progress}))
 
     def go_on(self, config: Config, seed: int, inputs: Mapping[str, str]) -> None:

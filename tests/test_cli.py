@@ -165,7 +165,7 @@ def a_run(tmp_path):
     clone = LearnedDriver(np.zeros(shape.size), shape, Whitening(np.zeros(48), np.ones(48)))
     judge = {"weights": np.zeros(1)}
     started = RunDirectory.create(tmp_path / "mine", config.load(None, ["search.noise_std=0.07"]), 4, {}, clone, judge)
-    started.save(Checkpoint(clone.theta, clone.theta, judge, (dict.fromkeys(PROGRESS_COLUMNS, 1.0),)))
+    started.save(Checkpoint(clone.theta, judge, (dict.fromkeys(PROGRESS_COLUMNS, 1.0),)))
 
 
 def test_resumed_with_an_override_the_rest_of_the_configuration_is_the_runs(rail_sumo, monkeypatch, a_run):

@@ -9,7 +9,6 @@ from rail_sumo.imitation.discriminator import Judge
 
 SHORT = (
     "train.iterations=20",
-    "train.averaging=0.0",
     "search.n_directions=8",
     "search.n_top=4",
     "train.evaluation_episodes=24",

@@ -25,7 +25,7 @@ def run(tmp_path):
             | {"iteration": number, "environment_steps": 1_000_000 * number, "seconds": 120.0 * number}
             for number, value in enumerate(values, 1)
         )
-        directory.save(Checkpoint(clone.theta, clone.theta, {"weights": np.zeros(1)}, rows))
+        directory.save(Checkpoint(clone.theta, {"weights": np.zeros(1)}, rows))
         return tmp_path / name
 
     return make

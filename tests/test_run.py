@@ -192,21 +192,6 @@ def test_every_policy_is_evaluated_on_the_same_traffic(driven):
     assert list(more["seed"][:3]) == list(keep["seed"])
 
 
-@pytest.mark.parametrize("averaging", [0.0, 0.5, 0.9])
-def test_what_is_learned_is_a_running_average_of_the_search_without_the_clone(
-    small, driven, tmp_path, monkeypatch, averaging
-):
-    thetas = []
-    save = RunDirectory.save
-    monkeypatch.setattr(RunDirectory, "save", lambda run, at: thetas.append(at.theta) or save(run, at))
-    train = small.train.model_copy(update={"averaging": averaging})
-    run.train(small.model_copy(update={"train": train}), tmp_path / "run", seed=1)
-    weights = averaging ** np.arange(2.0, -1.0, -1.0)
-    learned = load_file(tmp_path / "run" / POLICY)["theta"]
-    np.testing.assert_allclose(learned, np.average(thetas[1:], axis=0, weights=weights))
-    assert np.ptp(thetas, axis=0).max() > 0.0
-
-
 def test_demonstrations_are_what_was_seen_and_decided(driven, tmp_path):
     world = config.load(None, SMALL)
     recorded = run.demonstrate("rule", world, tmp_path / "new" / "rule.parquet", episodes=2, seed=5)
