@@ -132,10 +132,10 @@ class Policy(_Section):
 class Cloning(_Section):
     """Behaviour cloning: softmax cross-entropy on whitened observations."""
 
-    epochs: Annotated[int, Field(ge=0)] = 300
+    epochs: Annotated[int, Field(ge=0)] = 100
     batch_size: Count = 256
-    learning_rate: Positive = 3e-3
-    weight_decay: NonNegative = 1e-5
+    learning_rate: Positive = 1e-3
+    weight_decay: NonNegative = 1e-4
 
 
 class Search(_Section):
@@ -180,7 +180,7 @@ class Train(_Section):
     demonstrations: str = "expert"
     """`expert` for the shipped expert's own, or a Parquet file that `rail-sumo expert record` wrote."""
     trajectories: Count = 40
-    iterations: Annotated[int, Field(ge=0)] = 100
+    iterations: Annotated[int, Field(ge=0)] = 160
     horizon_s: Positive = 200.0
     """Length of one training rollout. Much shorter than the demonstrations, and the judge tells young traffic from old
     instead of the learner from the expert."""

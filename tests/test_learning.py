@@ -8,8 +8,6 @@ from rail_sumo import config, run
 from rail_sumo.imitation.discriminator import Judge
 
 SHORT = (
-    "cloning.epochs=20",  # a poor clone, with much to gain
-    "cloning.learning_rate=1e-3",
     "train.iterations=20",
     "search.n_directions=8",
     "search.n_top=4",
