@@ -628,7 +628,7 @@ def test_a_demand_that_begins_later_needs_to_be_told_when(make, tmp_path):
         '<routes><flow id="f" begin="25200" end="25500" period="4" departLane="random"><route edges="highway"/></flow>'
         "</routes>"
     )
-    with pytest.raises(InputError, match=r"brings nobody onto the road from 0 s to 60 s; set traffic\.begin_s"):
+    with pytest.raises(InputError, match=r"^of the demand nobody is on the road at 60 s; set traffic\.begin_s"):
         drive(make(world(traffic={"routes": (str(late),)})), always(KEEP))
     env = make(world(traffic={"routes": (str(late),), "begin_s": 25200.0}))
     env.reset(seed=1)
