@@ -185,9 +185,9 @@ def check(
     overrides: Overrides = None,
 ) -> None:
     """Tell where on a network rail-sumo would drive, and what may go wrong there."""
-    from rail_sumo import run
+    from rail_sumo.highway import env
 
-    course, warnings = run.check(config.load(None, _world(file, routes, overrides)))
+    course, warnings = env.check(config.load(None, _world(file, routes, overrides)))
     print(_describe(course))
     print(f"edges: {_shortened([edge.id for edge in course.edges])}")
     for warning in warnings:

@@ -11,7 +11,7 @@ import pandas as pd
 from scipy import stats
 
 from rail_sumo.errors import InputError
-from rail_sumo.report import check_writable
+from rail_sumo.report import check_file
 from rail_sumo.run_directory import PROGRESS_COLUMNS, RunDirectory
 
 if TYPE_CHECKING:
@@ -87,9 +87,7 @@ def save(figure: "Figure", out: Path, *, overwrite: bool = False) -> None:
     """
     if out.suffix not in (".png", ".svg", ".pdf"):
         raise InputError(f"a picture's name must end in .png, .svg or .pdf; got '{out}'")
-    if out.exists() and not overwrite:
-        raise InputError(f"output file '{out}' exists; choose another, or replace it with --overwrite")
-    check_writable(out.parent)
+    check_file(out, overwrite=overwrite)
     partial = out.with_name(f".{out.name}.partial")
     try:
         out.parent.mkdir(parents=True, exist_ok=True)

@@ -66,6 +66,13 @@ def check(folder: Path, *, overwrite: bool = False) -> None:
     check_writable(folder)
 
 
+def check_file(file: Path, *, overwrite: bool = False) -> None:
+    """Raise InputError if a file exists and is not to be replaced, or nothing can be written beside it."""
+    if file.exists() and not overwrite:
+        raise InputError(f"output file '{file}' exists; choose another, or replace it with --overwrite")
+    check_writable(file.parent)
+
+
 def check_writable(folder: Path) -> None:
     """Raise InputError if nothing can be written into the folder, or it cannot be made."""
     nearest = next(path for path in (folder, *folder.absolute().parents) if path.exists())

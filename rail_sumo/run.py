@@ -152,9 +152,7 @@ def demonstrate(
         raise InputError(
             "driver 'sumo' takes no decisions that could be recorded; take rule, expert or a run directory"
         )
-    if out.exists() and not overwrite:
-        raise InputError(f"output file '{out}' exists; choose another, or replace it with --overwrite")
-    report.check_writable(out.parent)
+    report.check_file(out, overwrite=overwrite)
     require_drivable(world, episodes)
     who = find_driver(driver, world)
     demonstrations = record(who, world, episodes=episodes, seed=seed, workers=workers, observer=observer)
@@ -183,15 +181,16 @@ def train(
             iterations already; anything that is wrong with the configuration, the network, the demand or the
             demonstrations.
     """
-    if not resume:
+    run = RunDirectory(out) if resume else None
+    if run is None:
         require_new(out)
-    started = RunDirectory(out) if resume else None
     require_drivable(config, config.train.evaluation_episodes)
     demonstrations = _demonstrations(config)
     inputs = _inputs(config)
-    if started:
-        started.go_on(config, seed, inputs)
-    run = started or _start(config, out, seed, inputs, demonstrations)
+    if run is None:
+        run = _start(config, out, seed, inputs, demonstrations)
+    else:
+        run.go_on(config, seed, inputs)
     _improve(run, demonstrations, workers, observer)
 
     policies: dict[str, Driver] = {"rail": run.policy(config), "clone": run.clone}
@@ -201,18 +200,6 @@ def train(
     tables = evaluate(policies, config, episodes=episodes, seed=seed, workers=workers, observer=observer)
     report.write(*tables, out, overwrite=True)
     return tables
-
-
-def check(world: Config) -> tuple[road.Road, list[str]]:
-    """Return the course of a world and what may go wrong on it; errors as in `require_drivable`."""
-    course, drivable_m = road.load(world.network.file), HighwayEnv(world).drivable_m
-    warnings = []
-    if drivable_m < world.episode.course_m:
-        warnings.append(
-            f"the road ends {drivable_m:.0f} m after the host's start, and so will episodes of "
-            f"{world.episode.course_m:.0f} m; set episode.course_m to {math.floor(drivable_m)} or less"
-        )
-    return course, [*warnings, *road.warnings(course)]
 
 
 def require_drivable(world: Config, episodes: int = 1) -> None:

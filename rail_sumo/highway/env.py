@@ -269,4 +269,20 @@ class HighwayEnv(gymnasium.Env[Floats, np.int64]):
             self._simulation = None
 
 
+def check(world: Config) -> tuple[road.Road, list[str]]:
+    """Return the course of a world and what may go wrong on it.
+
+    Raises:
+        InputError: it cannot be driven.
+    """
+    course, drivable_m = road.load(world.network.file), HighwayEnv(world).drivable_m
+    warnings = []
+    if drivable_m < world.episode.course_m:
+        warnings.append(
+            f"the road ends {drivable_m:.0f} m after the host's start, and so will episodes of "
+            f"{world.episode.course_m:.0f} m; set episode.course_m to {math.floor(drivable_m)} or less"
+        )
+    return course, [*warnings, *road.warnings(course)]
+
+
 gymnasium.register("RailSumo/Highway-v0", entry_point="rail_sumo.highway.env:HighwayEnv")

@@ -54,6 +54,11 @@ class Edge:
         """How many lanes are open to cars."""
         return len(self.lane_widths_m)
 
+    @property
+    def lanes(self) -> range:
+        """SUMO's indices of the lanes open to cars, from the right."""
+        return range(self.first_lane, self.first_lane + self.n_lanes)
+
 
 @dataclass(frozen=True, eq=False)
 class Road:

@@ -179,7 +179,7 @@ class Simulation:
         """
         edge = self._edges.get(libsumo.vehicle.getRoadID(name))
         lane = libsumo.vehicle.getLaneIndex(name) + side
-        if edge is not None and edge.first_lane <= lane < edge.first_lane + edge.n_lanes:
+        if edge is not None and lane in edge.lanes:
             libsumo.vehicle.changeLane(name, lane, 0.0)
 
     def on_road(self) -> set[str]:
@@ -250,9 +250,9 @@ class Simulation:
         vehicle = libsumo.vehicle
         edge = self._edges.get(vehicle.getRoadID(HOST))
         speed, lane = vehicle.getSpeed(HOST), vehicle.getLaneIndex(HOST)
-        if edge is None or not edge.first_lane <= lane < edge.first_lane + edge.n_lanes:  # on a junction, or strayed
+        if edge is None or lane not in (lanes := edge.lanes):  # on a junction, or strayed
             return HostState(speed, lane, lane, lane, 0.0, 0.0, 0.0, 0.0, (math.inf,))
-        rightmost, leftmost = edge.first_lane, edge.first_lane + edge.n_lanes - 1
+        rightmost, leftmost = lanes[0], lanes[-1]
         to_end = edge.length_m - vehicle.getLanePosition(HOST)
         widths = edge.lane_widths_m
         here = lane - rightmost
