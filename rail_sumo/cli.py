@@ -16,7 +16,7 @@ from rich.console import Console
 from rich.markup import escape
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TaskID, TextColumn, TimeRemainingColumn
 
-from rail_sumo import config
+from rail_sumo import config, files
 from rail_sumo.errors import InputError
 
 if TYPE_CHECKING:
@@ -103,7 +103,7 @@ def evaluate(
     from rail_sumo import report, run
 
     if out:
-        report.check(out, overwrite=overwrite)
+        files.check_folder(out, overwrite=overwrite)
     n_workers = _workers(workers)
     world = run.world(policies, _world(network, routes, overrides))
     who = {policy: run.find_driver(policy, world) for policy in policies}

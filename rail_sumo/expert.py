@@ -3,7 +3,6 @@
 import itertools
 import json
 import math
-import tempfile
 from importlib.metadata import version
 from pathlib import Path
 
@@ -13,7 +12,7 @@ from rail_sumo import report, run
 from rail_sumo.assets import EXPERT_DEMONSTRATIONS, EXPERT_POLICY, MANIFEST, sha256
 from rail_sumo.config import Config, dumps
 from rail_sumo.drivers import Expert
-from rail_sumo.errors import InputError
+from rail_sumo.files import check_folder, whole_folder
 from rail_sumo.highway.observation import feature_names
 from rail_sumo.records import Floats
 from rail_sumo.rollout import EXPERT, traffic_seed
@@ -39,7 +38,7 @@ def train(
     """
     from rail_sumo.imitation import ppo
 
-    report.check(out)
+    check_folder(out)
     run.require_drivable(config, config.train.evaluation_episodes)
     observer.start("practise", config.expert.updates * config.expert.decisions_per_update)
     traffic_seeds = (traffic_seed(seed, EXPERT, episode) for episode in itertools.count())
@@ -57,19 +56,13 @@ def train(
         expert, config, episodes=config.train.trajectories, seed=seed, workers=workers, observer=observer
     )
     about = {"driver": "expert", "seed": str(seed), "config": dumps(config)}
-    try:
-        out.parent.mkdir(parents=True, exist_ok=True)
-        with tempfile.TemporaryDirectory(dir=out.parent, prefix=f".{out.name}.") as scratch:
-            whole = Path(scratch, out.name)
-            report.write(*tables, whole)
-            features = feature_names(config.lidar, config.observation)
-            save_file(_tensors(expert), whole / EXPERT_POLICY, metadata={"features": json.dumps(features)})
-            (whole / CONFIG).write_text(dumps(config), encoding="utf-8")
-            demonstrations.save(whole / EXPERT_DEMONSTRATIONS, features=features, about=about)
-            (whole / MANIFEST).write_text(_manifest(whole, tables, seed), encoding="utf-8")
-            whole.rename(out)
-    except OSError as error:
-        raise InputError(f"cannot write the expert to '{out}': {error.strerror or error}") from None
+    with whole_folder(out) as whole:
+        report.write(*tables, whole, overwrite=True)
+        features = feature_names(config.lidar, config.observation)
+        save_file(_tensors(expert), whole / EXPERT_POLICY, metadata={"features": json.dumps(features)})
+        (whole / CONFIG).write_text(dumps(config), encoding="utf-8")
+        demonstrations.save(whole / EXPERT_DEMONSTRATIONS, features=features, about=about)
+        (whole / MANIFEST).write_text(_manifest(whole, tables, seed), encoding="utf-8")
     return tables
 
 

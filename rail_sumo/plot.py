@@ -11,7 +11,7 @@ import pandas as pd
 from scipy import stats
 
 from rail_sumo.errors import InputError
-from rail_sumo.report import check_file
+from rail_sumo.files import check_file, whole_file
 from rail_sumo.run_directory import PROGRESS_COLUMNS, RunDirectory
 
 if TYPE_CHECKING:
@@ -88,14 +88,8 @@ def save(figure: "Figure", out: Path, *, overwrite: bool = False) -> None:
     if out.suffix not in (".png", ".svg", ".pdf"):
         raise InputError(f"a picture's name must end in .png, .svg or .pdf; got '{out}'")
     check_file(out, overwrite=overwrite)
-    partial = out.with_name(f".{out.name}.partial")
-    try:
-        out.parent.mkdir(parents=True, exist_ok=True)
+    with whole_file(out) as partial:
         figure.savefig(partial, format=out.suffix[1:], dpi=150)
-        partial.replace(out)
-    except OSError as error:
-        partial.unlink(missing_ok=True)
-        raise InputError(f"cannot write '{out}': {error.strerror or error}") from None
 
 
 def _progress(run: Path) -> pd.DataFrame:

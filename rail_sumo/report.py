@@ -1,7 +1,5 @@
 """Rows -> tables with intervals: CSV and Parquet with the same content, and a table for the terminal."""
 
-import os
-import tempfile
 from collections.abc import Iterable
 from pathlib import Path
 from typing import Any
@@ -12,7 +10,7 @@ from rich.box import SIMPLE_HEAD
 from rich.markup import escape
 from rich.table import Table
 
-from rail_sumo.errors import InputError
+from rail_sumo.files import whole_folder
 from rail_sumo.records import EPISODE_COLUMNS, METRICS, SUMMARY_COLUMNS, Floats
 from rail_sumo.statistics import interval, iqm
 
@@ -59,48 +57,18 @@ def summary(episodes: pd.DataFrame) -> pd.DataFrame:
     return _typed(rows, SUMMARY_COLUMNS)
 
 
-def check(folder: Path, *, overwrite: bool = False) -> None:
-    """Raise InputError if `write` would be refused: better before an hour of driving than after it."""
-    if folder.exists() and not overwrite:
-        raise InputError(f"output folder '{folder}' exists; choose another, or replace its tables with --overwrite")
-    check_writable(folder)
-
-
-def check_file(file: Path, *, overwrite: bool = False) -> None:
-    """Raise InputError if a file exists and is not to be replaced, or nothing can be written beside it."""
-    if file.exists() and not overwrite:
-        raise InputError(f"output file '{file}' exists; choose another, or replace it with --overwrite")
-    check_writable(file.parent)
-
-
-def check_writable(folder: Path) -> None:
-    """Raise InputError if nothing can be written into the folder, or it cannot be made."""
-    nearest = next(path for path in (folder, *folder.absolute().parents) if path.exists())
-    if not nearest.is_dir() or not os.access(nearest, os.W_OK):
-        raise InputError(f"cannot write to '{folder}': '{nearest}' is not a writable folder")
-
-
 def write(episodes: pd.DataFrame, summary: pd.DataFrame, folder: Path, *, overwrite: bool = False) -> None:
     """Write both tables into the folder, each as CSV and as Parquet with the same content.
 
-    All or nothing: the files are written elsewhere on the same disk and moved in when all four are whole. With
-    `overwrite` the folder may exist; other files in it are left alone.
+    All or nothing; with `overwrite` the folder may exist, and other files in it are left alone.
 
     Raises:
         InputError: the folder exists, cannot be written to, or the disk is full.
     """
-    check(folder, overwrite=overwrite)
-    try:
-        folder.parent.mkdir(parents=True, exist_ok=True)
-        with tempfile.TemporaryDirectory(dir=folder.parent, prefix=f".{folder.name}.") as partial:
-            for name, table in {"episodes": episodes, "summary": summary}.items():
-                table.to_csv(Path(partial, f"{name}.csv"), index=False)
-                table.to_parquet(Path(partial, f"{name}.parquet"), index=False)
-            folder.mkdir(exist_ok=True)
-            for file in Path(partial).iterdir():
-                file.replace(folder / file.name)
-    except OSError as error:
-        raise InputError(f"cannot write the tables to '{folder}': {error.strerror or error}") from None
+    with whole_folder(folder, overwrite=overwrite) as partial:
+        for name, table in {"episodes": episodes, "summary": summary}.items():
+            table.to_csv(partial / f"{name}.csv", index=False)
+            table.to_parquet(partial / f"{name}.parquet", index=False)
 
 
 # What the terminal shows: heading -> metric and format. The rest is in the files.

@@ -16,6 +16,7 @@ import pandas as pd
 from rail_sumo import assets, config, drivers, metrics, report, rollout
 from rail_sumo.config import Config, dumps
 from rail_sumo.errors import InputError, ObservationError, did_you_mean
+from rail_sumo.files import check_file
 from rail_sumo.highway import road
 from rail_sumo.highway.env import HighwayEnv
 from rail_sumo.highway.observation import feature_names
@@ -152,11 +153,10 @@ def demonstrate(
         raise InputError(
             "driver 'sumo' takes no decisions that could be recorded; take rule, expert or a run directory"
         )
-    report.check_file(out, overwrite=overwrite)
+    check_file(out, overwrite=overwrite)
     require_drivable(world, episodes)
     who = find_driver(driver, world)
     demonstrations = record(who, world, episodes=episodes, seed=seed, workers=workers, observer=observer)
-    out.parent.mkdir(parents=True, exist_ok=True)
     about = {"driver": driver, "seed": str(seed), "config": dumps(world)}
     demonstrations.save(out, features=feature_names(world.lidar, world.observation), about=about)
     return demonstrations

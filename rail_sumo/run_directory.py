@@ -8,7 +8,6 @@ iteration depends on.
 import csv
 import io
 import json
-import tempfile
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from importlib.metadata import PackageNotFoundError, version
@@ -22,6 +21,7 @@ from safetensors import SafetensorError, safe_open
 
 from rail_sumo.config import Config, dumps, load
 from rail_sumo.errors import InputError, ObservationError
+from rail_sumo.files import whole_file, whole_folder
 from rail_sumo.highway.observation import feature_names
 from rail_sumo.policy import Shape, Whitening
 from rail_sumo.records import Floats
@@ -103,19 +103,10 @@ class RunDirectory:
         """
         require_new(path)
         features = feature_names(config.lidar, config.observation)
-        try:
-            path.parent.mkdir(parents=True, exist_ok=True)
-            with tempfile.TemporaryDirectory(dir=path.parent, prefix=f".{path.name}.") as scratch:
-                whole = Path(scratch, path.name)
-                whole.mkdir()
-                _replace(whole / CONFIG, dumps(config).encode())
-                _replace(
-                    whole / CLONE, _driver_bytes(clone, {"seed": seed, "inputs": dict(inputs), "features": features})
-                )
-                cls(whole).save(Checkpoint(clone.theta, judge))
-                whole.rename(path)
-        except OSError as error:
-            raise InputError(f"cannot write run directory '{path}': {error.strerror or error}") from None
+        with whole_folder(path) as whole:
+            _write(whole / CONFIG, dumps(config).encode())
+            _write(whole / CLONE, _driver_bytes(clone, {"seed": seed, "inputs": dict(inputs), "features": features}))
+            cls(whole).save(Checkpoint(clone.theta, judge))
         return cls(path)
 
     @property
@@ -154,12 +145,12 @@ class RunDirectory:
             InputError: the disk is full, or the directory cannot be written.
         """
         learned = replace(self.clone, theta=checkpoint.theta)
-        _replace(self.path / POLICY, _driver_bytes(learned, self._about | {"iteration": checkpoint.iteration}))
-        _replace(self.path / JUDGE, _bytes(checkpoint.judge, {"iteration": checkpoint.iteration}))
-        _replace(self.path / PROGRESS, _csv(checkpoint.progress))
+        _write(self.path / POLICY, _driver_bytes(learned, self._about | {"iteration": checkpoint.iteration}))
+        _write(self.path / JUDGE, _bytes(checkpoint.judge, {"iteration": checkpoint.iteration}))
+        _write(self.path / PROGRESS, _csv(checkpoint.progress))
         # Last, so that whatever is newer than it will be written again.
         tensors = {"theta": checkpoint.theta, **checkpoint.judge}
-        _replace(self.path / CHECKPOINT, _bytes(tensors, {"progress": checkpoint.progress}))
+        _write(self.path / CHECKPOINT, _bytes(tensors, {"progress": checkpoint.progress}))
 
     def go_on(self, config: Config, seed: int, inputs: Mapping[str, str]) -> None:
         """Take a run up again, with more iterations or evaluation episodes if the configuration says so.
@@ -188,7 +179,7 @@ class RunDirectory:
                 f"another with --out"
             )
         if config != self.config:
-            _replace(self.path / CONFIG, dumps(config).encode())
+            _write(self.path / CONFIG, dumps(config).encode())
             self.config = config
 
 
@@ -256,12 +247,6 @@ def _damaged(path: Path, error: Exception) -> InputError:
     return InputError(f"'{path}' is truncated or damaged ({type(error).__name__}: {error}); restore it or train again")
 
 
-def _replace(path: Path, content: bytes) -> None:
-    """Write a file whole or not at all."""
-    partial = path.with_name(f".{path.name}.partial")
-    try:
+def _write(file: Path, content: bytes) -> None:
+    with whole_file(file) as partial:
         partial.write_bytes(content)
-        partial.replace(path)
-    except OSError as error:
-        partial.unlink(missing_ok=True)
-        raise InputError(f"cannot write '{path}': {error.strerror or error}") from None

@@ -124,7 +124,7 @@ def full_disk():
 
 
 def test_a_full_disk_leaves_nothing_behind(tables, tmp_path):
-    with full_disk(), pytest.raises(InputError, match=r"cannot write the tables to '.*out': File too large"):
+    with full_disk(), pytest.raises(InputError, match=r"cannot write '.*out': File too large"):
         report.write(*tables, tmp_path / "out")
     assert list(tmp_path.iterdir()) == []
 

@@ -11,6 +11,7 @@ import pyarrow.parquet as pq
 from numpy.typing import NDArray
 
 from rail_sumo.errors import InputError
+from rail_sumo.files import whole_file
 from rail_sumo.policy import N_ACTIONS
 from rail_sumo.records import Floats, Trajectory
 
@@ -99,13 +100,8 @@ class Demonstrations:
         columns |= {ACTION: self.actions.astype(np.int8), EPISODE: self.episode.astype(np.int32)}
         metadata = json.dumps({"features": list(features), "about": dict(about)})
         table = pa.table(columns).replace_schema_metadata({METADATA_KEY: metadata})
-        partial = path.with_name(f".{path.name}.partial")
-        try:
+        with whole_file(path) as partial:
             pq.write_table(table, partial, compression="zstd")
-            partial.replace(path)
-        except OSError as error:
-            partial.unlink(missing_ok=True)
-            raise InputError(f"cannot write demonstrations '{path}': {error.strerror or error}") from None
 
     @classmethod
     def load(cls, path: Path, *, features: Sequence[str]) -> "Demonstrations":

@@ -1,0 +1,77 @@
+"""Output that is there whole or not at all, and never in place of something that was not to be replaced."""
+
+import os
+import tempfile
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+
+from rail_sumo.errors import InputError
+
+
+def check_folder(folder: Path, *, overwrite: bool = False) -> None:
+    """Raise InputError if `whole_folder` would be refused: better before an hour of driving than after it."""
+    if folder.exists() and not overwrite:
+        raise InputError(f"output folder '{folder}' exists; choose another, or replace its tables with --overwrite")
+    _check_writable(folder)
+
+
+def check_file(file: Path, *, overwrite: bool = False) -> None:
+    """Raise InputError if a file exists and is not to be replaced, or nothing can be written beside it."""
+    if file.exists() and not overwrite:
+        raise InputError(f"output file '{file}' exists; choose another, or replace it with --overwrite")
+    _check_writable(file.parent)
+
+
+@contextmanager
+def whole_file(file: Path) -> Iterator[Path]:
+    """Give the name to write to; what is there at the end takes the file's place at once.
+
+    Raises:
+        InputError: it cannot be written, or the disk is full.
+    """
+    partial = file.with_name(f".{file.name}.partial")
+    with _refused(file):
+        file.parent.mkdir(parents=True, exist_ok=True)
+        try:
+            yield partial
+            partial.replace(file)
+        finally:
+            partial.unlink(missing_ok=True)
+
+
+@contextmanager
+def whole_folder(folder: Path, *, overwrite: bool = False) -> Iterator[Path]:
+    """Give an empty folder on the same disk to write into; at the end it becomes `folder`.
+
+    With `overwrite` the folder may exist: its files are replaced by those of the same names, others are left alone.
+
+    Raises:
+        InputError: it exists, cannot be written to, or the disk is full.
+    """
+    check_folder(folder, overwrite=overwrite)
+    with _refused(folder):
+        folder.parent.mkdir(parents=True, exist_ok=True)
+        with tempfile.TemporaryDirectory(dir=folder.parent, prefix=f".{folder.name}.") as scratch:
+            partial = Path(scratch, folder.name)
+            partial.mkdir()
+            yield partial
+            if overwrite and folder.exists():
+                for file in partial.iterdir():
+                    file.replace(folder / file.name)
+            else:
+                partial.rename(folder)
+
+
+@contextmanager
+def _refused(path: Path) -> Iterator[None]:
+    try:
+        yield
+    except OSError as error:
+        raise InputError(f"cannot write '{path}': {error.strerror or error}") from None
+
+
+def _check_writable(folder: Path) -> None:
+    nearest = next(path for path in (folder, *folder.absolute().parents) if path.exists())
+    if not nearest.is_dir() or not os.access(nearest, os.W_OK):
+        raise InputError(f"cannot write to '{folder}': '{nearest}' is not a writable folder")
