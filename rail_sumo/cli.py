@@ -234,8 +234,12 @@ def _workers(text: str) -> int | Literal["ray"]:
 
 # What a bar tells of the part just done. With it the bar fits into 80 columns.
 _DRIVEN = "{speed_kmh:.1f} km/h {lane_changes:.1f} changes"
+_JUDGED = "reward {mean_return:+.2f} judge {judge_expert_mean:.2f}/{judge_learner_mean:.2f} " + _DRIVEN
 _FIGURES = {
-    "train": "reward {mean_return:+.2f} judge {judge_expert_mean:.2f}/{judge_learner_mean:.2f} " + _DRIVEN,
+    "rail": _JUDGED,
+    "gail": _JUDGED,
+    "ars": "reward {mean_return:+.1f} " + _DRIVEN,
+    "dagger": _DRIVEN,
     "eval": _DRIVEN,
     "record": _DRIVEN,
 }

@@ -174,17 +174,64 @@ class Judge(_Section):
     """How many iterations' learner trajectories the judge is trained on, the newest included."""
 
 
+class Gail(_Section):
+    """Generative adversarial imitation learning: PPO in place of the random search, under the same judge."""
+
+    rollouts: Count = 16
+    """Driven in an iteration, by actions drawn with the policy's probabilities."""
+    critic_hidden: tuple[Count, ...] = (64, 64)
+    learning_rate: Positive = 3e-4
+    batch_size: Annotated[int, Field(ge=2)] = 256
+    epochs: Count = 10
+    discount: Annotated[float, Field(gt=0.0, lt=1.0)] = 0.99
+    gae_lambda: Annotated[float, Field(ge=0.0, le=1.0)] = 0.95
+    entropy: NonNegative = 0.0
+
+
+class Dagger(_Section):
+    """Dataset aggregation: the expert tells what it would have done where the learner drove."""
+
+    rollouts: Count = 4
+    """Driven in an iteration, and added to the demonstrations."""
+
+
+class Ars(_Section):
+    """Augmented random search on the environment's reward, from scratch; its other knobs are those of `search`."""
+
+    whitening: bool = True
+    """Whether observations are whitened by the statistics of all met so far (V2) or taken as they are (V1)."""
+
+
+Learner = Literal["rail", "gail", "bc", "dagger", "ars"]
+
+ITERATIONS: dict[Learner, int] = {"rail": 160, "gail": 160, "bc": 0, "dagger": 20, "ars": 160}
+"""How many iterations each learner has unless told."""
+
+
 class Train(_Section):
     """One training run."""
 
+    learner: Learner = "rail"
     demonstrations: str = "expert"
     """`expert` for the shipped expert's own, or a Parquet file that `rail-sumo expert record` wrote."""
     trajectories: Count = 40
-    iterations: Annotated[int, Field(ge=0)] = 160
+    iterations: Annotated[int, Field(ge=0)] | Literal["default"] = "default"
+    """By default 160 of RAIL, GAIL and ARS, 20 of DAgger; behaviour cloning has none."""
     horizon_s: Positive = 200.0
     """Length of one training rollout. Much shorter than the demonstrations, and the judge tells young traffic from old
     instead of the learner from the expert."""
     evaluation_episodes: Count = 16
+
+    @property
+    def n_iterations(self) -> int:
+        """How many iterations to do."""
+        return ITERATIONS[self.learner] if self.iterations == "default" else self.iterations
+
+    @model_validator(mode="after")
+    def _cloning_has_none(self) -> "Train":
+        if self.learner == "bc" and self.n_iterations:
+            raise ValueError(f"learner 'bc' has no iterations, got iterations {self.iterations}; leave them out")
+        return self
 
 
 class Expert(_Section):
@@ -229,6 +276,9 @@ class Config(_Section):
     cloning: Cloning = Cloning()
     search: Search = Search()
     judge: Judge = Judge()
+    gail: Gail = Gail()
+    dagger: Dagger = Dagger()
+    ars: Ars = Ars()
     train: Train = Train()
     expert: Expert = Expert()
 

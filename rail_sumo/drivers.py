@@ -105,6 +105,33 @@ class Learned:
         return self._policy(observation)
 
 
+class Drawing:
+    """A learned policy that draws its actions, each with its softmax probability."""
+
+    def __init__(self, policy: Policy, seed: int) -> None:
+        self._policy = policy
+        self._rng = np.random.default_rng([seed, 2])  # a stream of its own, beside the traffic's
+
+    def decide(self, observation: Floats, env: HighwayEnv) -> int:
+        """Return an action by chance."""
+        outputs = self._policy.outputs(observation)
+        return int(np.argmax(outputs + self._rng.gumbel(size=len(outputs))))  # the Gumbel-max trick
+
+
+class Advised:
+    """Drives as it would, and notes what an adviser would have decided."""
+
+    def __init__(self, driver: Driver, adviser: Driver) -> None:
+        self._driver = driver
+        self._adviser = adviser
+        self.advice: list[int] = []
+
+    def decide(self, observation: Floats, env: HighwayEnv) -> int:
+        """Return the driver's own decision."""
+        self.advice.append(self._adviser.decide(observation, env))
+        return self._driver.decide(observation, env)
+
+
 NAMES = ("expert", "rule", "sumo", "keep", "random")
 """Drivers by name. `sumo` keeps too: SUMO drives in its stead (`HighwayEnv(hands_off=True)`)."""
 

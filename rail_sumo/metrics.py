@@ -1,5 +1,6 @@
 """Trajectory -> one row of the `episodes` table."""
 
+from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
@@ -35,4 +36,13 @@ def row(trajectory: Trajectory, adas: Adas) -> dict[str, Any]:
         "min_ttc_s": trajectory.min_ttc_s,
         "hardest_braking_mps2": max(0.0, float(braking_mps2.max())),
         "end_reason": trajectory.end_reason,
+    }
+
+
+def means(trajectories: Sequence[Trajectory]) -> dict[str, float]:
+    """Return what an observer is told of episodes, one or more: the means of some of the table's columns."""
+    return {
+        "speed_kmh": float(np.mean([trajectory.speed_mps[1:].mean() for trajectory in trajectories])) * KMH,
+        "overtakes": float(np.mean([trajectory.overtakes for trajectory in trajectories])),
+        "lane_changes": float(np.mean([trajectory.lane_changes for trajectory in trajectories])),
     }

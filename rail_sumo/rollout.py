@@ -1,8 +1,8 @@
-"""Task -> Trajectory, and a `map` that drives many: serial, processes, Ray."""
+"""Task -> Trajectory, and what drives many: serial, processes, Ray."""
 
 import multiprocessing
 import signal
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Callable, Iterable, Iterator, Mapping
 from concurrent.futures import ProcessPoolExecutor
 from concurrent.futures.process import BrokenProcessPool
 from contextlib import contextmanager
@@ -10,8 +10,9 @@ from dataclasses import dataclass
 from typing import Any, Literal, Protocol
 
 import numpy as np
+from numpy.typing import NDArray
 
-from rail_sumo import drivers
+from rail_sumo import drivers, metrics
 from rail_sumo.config import Config
 from rail_sumo.errors import InputError
 from rail_sumo.highway.env import HighwayEnv
@@ -34,6 +35,8 @@ class LearnedDriver:
     theta: Floats
     shape: Shape
     whitening: Whitening
+    draws: bool = False
+    """Whether it draws actions with the policy's probabilities instead of taking the most probable."""
 
     def policy(self) -> Policy:
         """Return the callable supervisor."""
@@ -47,13 +50,25 @@ class Task:
     driver: str | LearnedDriver | drivers.Expert
     config: Config
     seed: int
+    adviser: drivers.Expert | None = None
+    """Whose advice `drive_advised` notes."""
 
 
 def drive(task: Task) -> Trajectory:
     """Drive one episode in this process."""
+    return _drive(task, _driver(task))
+
+
+def drive_advised(task: Task) -> tuple[Trajectory, NDArray[np.int64]]:
+    """Drive one episode; beside it, what the task's adviser would have decided, shape (n_decisions,)."""
+    assert task.adviser is not None
+    driver = drivers.Advised(_driver(task), task.adviser)
+    return _drive(task, driver), np.array(driver.advice, dtype=np.int64)
+
+
+def _drive(task: Task, driver: drivers.Driver) -> Trajectory:
     env = HighwayEnv(task.config, hands_off=task.driver == "sumo")
     try:
-        driver = _driver(task)
         observation, _ = env.reset(seed=task.seed)
         while not env.is_over:
             observation, _ = env.drive(driver.decide(observation, env))
@@ -66,8 +81,40 @@ def _driver(task: Task) -> drivers.Driver:
     if isinstance(task.driver, str):
         return drivers.by_name(task.driver, task.config, task.seed)
     if isinstance(task.driver, LearnedDriver):
-        return drivers.Learned(task.driver.policy())
+        policy = task.driver.policy()
+        return drivers.Drawing(policy, task.seed) if task.driver.draws else drivers.Learned(policy)
     return task.driver
+
+
+WorkerCount = int | Literal["ray"]
+
+
+class Observer(Protocol):
+    """Is told how far long work has come."""
+
+    def start(self, work: str, total: int, done: int = 0) -> None:
+        """Work of `total` parts begins, `done` of them already there."""
+
+    def advance(self, figures: Mapping[str, float]) -> None:
+        """One more part is done; the figures tell how it went, by the names of the tables' columns."""
+
+
+class _Silent:
+    def start(self, work: str, total: int, done: int = 0) -> None: ...
+
+    def advance(self, figures: Mapping[str, float]) -> None: ...
+
+
+SILENT = _Silent()
+
+
+def drive_all(work: str, tasks: list[Task], number: WorkerCount, observer: Observer = SILENT) -> Iterator[Trajectory]:
+    """Yield the tasks' trajectories in their order; see `workers`."""
+    observer.start(work, len(tasks))
+    with workers(number) as pool:
+        for trajectory in pool.map(drive, tasks):
+            observer.advance(metrics.means([trajectory]))
+            yield trajectory
 
 
 class Workers(Protocol):
@@ -87,7 +134,7 @@ class _Ray:
 
 
 @contextmanager
-def workers(number: int | Literal["ray"]) -> Iterator[Workers]:
+def workers(number: WorkerCount) -> Iterator[Workers]:
     """Yield something with a `map`: this process for 1, a pool of processes, or a Ray cluster's.
 
     The pool spawns its processes, so none of them carries the parent's torch or its open simulation. They leave

@@ -1,58 +1,35 @@
 """Train, evaluate, demonstrate: what the command line does, each in one call."""
 
 import itertools
-import math
-import time
-from collections.abc import Iterable, Iterator, Mapping
+from collections.abc import Iterable, Mapping
 from contextlib import suppress
-from dataclasses import replace
-from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING, Literal, Protocol
 
-import numpy as np
 import pandas as pd
 
-from rail_sumo import assets, config, drivers, metrics, report, rollout
+from rail_sumo import assets, config, drivers, metrics, report, training
 from rail_sumo.config import Config, dumps
 from rail_sumo.errors import InputError, ObservationError, did_you_mean
 from rail_sumo.files import check_file
-from rail_sumo.highway import road
 from rail_sumo.highway.env import HighwayEnv
 from rail_sumo.highway.observation import feature_names
 from rail_sumo.imitation.demonstrations import Demonstrations
-from rail_sumo.policy import Shape, Whitening
-from rail_sumo.records import KMH, Floats, Trajectory
-from rail_sumo.rollout import DEMONSTRATION, EVALUATION, TRAINING, LearnedDriver, Task, traffic_seed
-from rail_sumo.run_directory import CONFIG, Checkpoint, Row, RunDirectory, require_new
-
-if TYPE_CHECKING:  # torch takes seconds to import, and only training needs it
-    from rail_sumo.imitation.discriminator import Judge
-    from rail_sumo.imitation.rail import RailState
+from rail_sumo.rollout import (
+    DEMONSTRATION,
+    EVALUATION,
+    SILENT,
+    LearnedDriver,
+    Observer,
+    Task,
+    WorkerCount,
+    drive_all,
+    traffic_seed,
+)
+from rail_sumo.run_directory import CONFIG, RunDirectory
 
 Driver = str | LearnedDriver | drivers.Expert
-WorkerCount = int | Literal["ray"]
 Tables = tuple[pd.DataFrame, pd.DataFrame]
 """The `episodes` table and its `summary`."""
-
-
-class Observer(Protocol):
-    """Is told how far long work has come."""
-
-    def start(self, work: str, total: int, done: int = 0) -> None:
-        """Work of `total` parts begins, `done` of them already there."""
-
-    def advance(self, figures: Mapping[str, float]) -> None:
-        """One more part is done; the figures tell how it went, by the names of the tables' columns."""
-
-
-class _Silent:
-    def start(self, work: str, total: int, done: int = 0) -> None: ...
-
-    def advance(self, figures: Mapping[str, float]) -> None: ...
-
-
-SILENT = _Silent()
 
 
 def world(policies: Iterable[str], overrides: Iterable[str] = ()) -> Config:
@@ -110,7 +87,7 @@ def evaluate(
     require_drivable(world, episodes)
     labels = list(itertools.product(policies, range(episodes)))
     tasks = [Task(policies[name], world, traffic_seed(seed, EVALUATION, episode)) for name, episode in labels]
-    driven = _drive("eval", tasks, workers, observer)
+    driven = drive_all("eval", tasks, workers, observer)
     rows = [
         {"policy": name, "episode": episode, **metrics.row(trajectory, world.adas)}
         for (name, episode), trajectory in zip(labels, driven, strict=True)
@@ -130,7 +107,7 @@ def record(
 ) -> Demonstrations:
     """Return what a driver sees and decides in traffic of its own, which no evaluation or training meets."""
     tasks = [Task(driver, world, traffic_seed(seed, DEMONSTRATION, episode)) for episode in range(episodes)]
-    return Demonstrations.from_trajectories(list(_drive("record", tasks, workers, observer)))
+    return Demonstrations.from_trajectories(list(drive_all("record", tasks, workers, observer)))
 
 
 def demonstrate(
@@ -181,19 +158,11 @@ def train(
             iterations already; anything that is wrong with the configuration, the network, the demand or the
             demonstrations.
     """
-    run = RunDirectory(out) if resume else None
-    if run is None:
-        require_new(out)
     require_drivable(config, config.train.evaluation_episodes)
-    demonstrations = _demonstrations(config)
-    inputs = _inputs(config)
-    if run is None:
-        run = _start(config, out, seed, inputs, demonstrations)
-    else:
-        run.go_on(config, seed, inputs)
-    _improve(run, demonstrations, workers, observer)
-
-    policies: dict[str, Driver] = {"rail": run.policy(config), "clone": run.clone}
+    run = training.learn(config, out, seed=seed, workers=workers, resume=resume, observer=observer)
+    policies: dict[str, Driver] = {config.train.learner: run.policy(config)}
+    if training.improves_a_clone(config):
+        policies["clone"] = run.clone
     with suppress(ObservationError):  # the shipped expert senses something else: there is nothing to set beside
         policies[report.EXPERT] = drivers.load_expert(config)
     episodes = config.train.evaluation_episodes
@@ -216,121 +185,3 @@ def _require_folder(policy: Path) -> None:
         )
     if not (policy / assets.MANIFEST).is_file():
         RunDirectory(policy)
-
-
-def _drive(work: str, tasks: list[Task], workers: WorkerCount, observer: Observer) -> Iterator[Trajectory]:
-    observer.start(work, len(tasks))
-    with rollout.workers(workers) as pool:
-        for trajectory in pool.map(rollout.drive, tasks):
-            observer.advance(_figures([trajectory]))
-            yield trajectory
-
-
-def _demonstrations(config: Config) -> Demonstrations:
-    features = feature_names(config.lidar, config.observation)
-    return Demonstrations.load(_demonstrations_file(config), features=features).take(config.train.trajectories)
-
-
-def _demonstrations_file(config: Config) -> Path:
-    name = config.train.demonstrations
-    return assets.expert(assets.EXPERT_DEMONSTRATIONS) if name == "expert" else Path(name)
-
-
-def _inputs(config: Config) -> dict[str, str]:
-    """Return the SHA-256 of every file that a training with this configuration reads, by the key that names it."""
-    demand = road.check_demand(config.traffic.routes)
-    return {
-        "network.file": assets.sha256(assets.network(config.network.file)),
-        "traffic.routes": " ".join(map(assets.sha256, demand)),
-        "train.demonstrations": assets.sha256(_demonstrations_file(config)),
-    }
-
-
-def _start(
-    config: Config, out: Path, seed: int, inputs: Mapping[str, str], demonstrations: Demonstrations
-) -> RunDirectory:
-    from rail_sumo.imitation import bc
-
-    whitening = Whitening.of(demonstrations.observations)
-    n_features = len(feature_names(config.lidar, config.observation))
-    shape = Shape(n_features, config.policy.hidden if config.policy.layers == 2 else None)
-    theta = bc.clone(demonstrations, shape, whitening, config.cloning, seed)
-    clone = LearnedDriver(theta, shape, whitening)
-    return RunDirectory.create(out, config, seed, inputs, clone, _judge(config, clone, seed).state())
-
-
-def _judge(config: Config, clone: LearnedDriver, seed: int) -> "Judge":
-    from rail_sumo.imitation.discriminator import Judge
-
-    horizon_decisions = round(config.train.horizon_s / config.episode.decision_period_s)
-    return Judge(clone.shape.n_features, clone.whitening, config.judge, seed, horizon_decisions)
-
-
-def _improve(run: RunDirectory, demonstrations: Demonstrations, workers: WorkerCount, observer: Observer) -> None:
-    """Go on with RAIL from the run's checkpoint to its last iteration, saving after each."""
-    from rail_sumo.imitation import rail
-
-    checkpoint = run.checkpoint()
-    judge = _judge(run.config, run.clone, run.seed)
-    judge.load_state(checkpoint.judge)
-    n_iterations = run.config.train.iterations
-    observer.start("train", n_iterations, done=checkpoint.iteration)
-    started = time.perf_counter() - (checkpoint.progress[-1]["seconds"] if checkpoint.progress else 0.0)
-    with rollout.workers(workers) as pool:
-        states = rail.train(
-            checkpoint.theta,
-            demonstrations,
-            search=run.config.search,
-            judge=judge,
-            evaluate=partial(_rollouts, pool, run),
-            seed=run.seed,
-            first_iteration=checkpoint.iteration + 1,
-        )
-        for state in itertools.islice(states, n_iterations - checkpoint.iteration):
-            row = _progress(state, judge, checkpoint.progress, time.perf_counter() - started)
-            checkpoint = Checkpoint(state.theta, judge.state(), (*checkpoint.progress, row))
-            run.save(checkpoint)
-            observer.advance(row)
-
-
-def _rollouts(
-    pool: rollout.Workers, run: RunDirectory, theta: Floats, perturbations: Floats, iteration: int
-) -> tuple[list[Trajectory], list[Trajectory]]:
-    """Drive theta plus and minus each perturbation, both on the same traffic, which is new in every iteration."""
-    episode = run.config.episode.model_copy(update={"course_m": math.inf, "duration_s": run.config.train.horizon_s})
-    world = run.config.model_copy(update={"episode": episode})
-    tasks = [
-        Task(
-            replace(run.clone, theta=theta + sign * delta),
-            world,
-            traffic_seed(run.seed, TRAINING, iteration, direction),
-        )
-        for sign in (1.0, -1.0)
-        for direction, delta in enumerate(perturbations)
-    ]
-    driven = list(pool.map(rollout.drive, tasks))
-    return driven[: len(perturbations)], driven[len(perturbations) :]
-
-
-def _progress(state: "RailState", judge: "Judge", before: tuple[Row, ...], seconds: float) -> Row:
-    driven = [*state.plus, *state.minus]
-    steps_before = before[-1]["environment_steps"] if before else 0
-    return {
-        "iteration": state.iteration,
-        "environment_steps": steps_before + sum(len(trajectory.lane_changing) for trajectory in driven),
-        "seconds": round(seconds, 3),
-        "mean_return": float(np.mean(judge.returns(driven))),
-        "judge_loss": state.judge_loss.loss,
-        "judge_expert_mean": state.judge_loss.expert_mean,
-        "judge_learner_mean": state.judge_loss.learner_mean,
-        **_figures(driven),
-        "step_norm": state.step_norm,
-    }
-
-
-def _figures(driven: list[Trajectory]) -> dict[str, float]:
-    return {
-        "speed_kmh": float(np.mean([trajectory.speed_mps[1:].mean() for trajectory in driven])) * KMH,
-        "overtakes": float(np.mean([trajectory.overtakes for trajectory in driven])),
-        "lane_changes": float(np.mean([trajectory.lane_changes for trajectory in driven])),
-    }

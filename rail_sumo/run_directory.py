@@ -9,7 +9,7 @@ import csv
 import io
 import json
 from collections.abc import Mapping
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field
 from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
 from typing import Any
@@ -24,7 +24,6 @@ from rail_sumo.errors import InputError, ObservationError
 from rail_sumo.files import whole_file, whole_folder
 from rail_sumo.highway.observation import feature_names
 from rail_sumo.policy import Shape, Whitening
-from rail_sumo.records import Floats
 from rail_sumo.rollout import LearnedDriver
 
 CONFIG = "config.toml"
@@ -51,6 +50,9 @@ PROGRESS_COLUMNS = (
     "step_norm",  # how far theta moved
 )
 
+JUDGES = "judge."
+"""What the names of the judge's tensors begin with among all that a checkpoint holds."""
+
 Tensors = dict[str, NDArray[Any]]
 Row = Mapping[str, float]
 """A row of `progress.csv`, keyed by `PROGRESS_COLUMNS`."""
@@ -60,8 +62,9 @@ Row = Mapping[str, float]
 class Checkpoint:
     """Where training stands after an iteration; without progress, at the clone."""
 
-    theta: Floats
-    judge: Tensors
+    learned: LearnedDriver
+    memory: Tensors = field(default_factory=dict)
+    """All else that the learner's next iteration depends on, by names of its own; its judge's begin with `JUDGES`."""
     progress: tuple[Row, ...] = ()
 
     @property
@@ -84,11 +87,11 @@ class RunDirectory:
             raise InputError(f"'{path}' is not a run directory: it has no {CONFIG}")
         self.path = path
         self.config = load(path / CONFIG)
-        self.clone, self._about = _read_driver(path / CLONE)
+        self.clone, _, self._about = _read_driver(path / CLONE)
 
     @classmethod
     def create(
-        cls, path: Path, config: Config, seed: int, inputs: Mapping[str, str], clone: LearnedDriver, judge: Tensors
+        cls, path: Path, config: Config, seed: int, inputs: Mapping[str, str], clone: LearnedDriver
     ) -> "RunDirectory":
         """Lay out a run that starts from the clone. It appears under its name only once it is whole.
 
@@ -96,7 +99,7 @@ class RunDirectory:
             path: where.
             config, seed: what it is started with.
             inputs: the files it reads, by the keys that name them, as SHA-256.
-            clone, judge: what the first iteration starts from.
+            clone: what the first iteration starts from.
 
         Raises:
             InputError: it exists, or cannot be written.
@@ -106,7 +109,7 @@ class RunDirectory:
         with whole_folder(path) as whole:
             _write(whole / CONFIG, dumps(config).encode())
             _write(whole / CLONE, _driver_bytes(clone, {"seed": seed, "inputs": dict(inputs), "features": features}))
-            cls(whole).save(Checkpoint(clone.theta, judge))
+            cls(whole).save(Checkpoint(clone))
         return cls(path)
 
     @property
@@ -120,7 +123,7 @@ class RunDirectory:
         Raises:
             InputError: the world's observation is laid out differently, or the file is damaged.
         """
-        learned, about = _read_driver(self.path / POLICY)
+        learned, _, about = _read_driver(self.path / POLICY)
         given = feature_names(world.lidar, world.observation)
         if given != about["features"]:
             raise ObservationError(
@@ -132,9 +135,9 @@ class RunDirectory:
     def checkpoint(self) -> Checkpoint:
         """Return where training stands."""
         path = self.path / CHECKPOINT
-        tensors, about = _read(path)
+        learned, memory, about = _read_driver(path)
         try:
-            return Checkpoint(tensors.pop("theta"), tensors, tuple(about["progress"]))
+            return Checkpoint(learned, memory, tuple(about["progress"]))
         except KeyError as error:
             raise _damaged(path, error) from None
 
@@ -144,13 +147,15 @@ class RunDirectory:
         Raises:
             InputError: the disk is full, or the directory cannot be written.
         """
-        learned = replace(self.clone, theta=checkpoint.theta)
-        _write(self.path / POLICY, _driver_bytes(learned, self._about | {"iteration": checkpoint.iteration}))
-        _write(self.path / JUDGE, _bytes(checkpoint.judge, {"iteration": checkpoint.iteration}))
+        learned, iteration = checkpoint.learned, {"iteration": checkpoint.iteration}
+        _write(self.path / POLICY, _driver_bytes(learned, self._about | iteration))
+        judge = {name.removeprefix(JUDGES): x for name, x in checkpoint.memory.items() if name.startswith(JUDGES)}
+        if judge:
+            _write(self.path / JUDGE, _bytes(judge, iteration))
         _write(self.path / PROGRESS, _csv(checkpoint.progress))
         # Last, so that whatever is newer than it will be written again.
-        tensors = {"theta": checkpoint.theta, **checkpoint.judge}
-        _write(self.path / CHECKPOINT, _bytes(tensors, {"progress": checkpoint.progress}))
+        about = {"features": self._about["features"], "progress": checkpoint.progress}
+        _write(self.path / CHECKPOINT, _driver_bytes(learned, about, checkpoint.memory))
 
     def go_on(self, config: Config, seed: int, inputs: Mapping[str, str]) -> None:
         """Take a run up again, with more iterations or evaluation episodes if the configuration says so.
@@ -173,7 +178,7 @@ class RunDirectory:
                     f"was, or start another run with --out"
                 )
         done = self.checkpoint().iteration
-        if config.train.iterations < done:
+        if config.train.n_iterations < done:
             raise InputError(
                 f"run directory '{self.path}' has done {done} iterations; set train.iterations to no less, or start "
                 f"another with --out"
@@ -201,21 +206,22 @@ def _csv(progress: tuple[Row, ...]) -> bytes:
     return text.getvalue().encode()
 
 
-def _driver_bytes(driver: LearnedDriver, about: dict[str, Any]) -> bytes:
+def _driver_bytes(driver: LearnedDriver, about: dict[str, Any], memory: Tensors | None = None) -> bytes:
     tensors = {"theta": driver.theta, "whitening_mean": driver.whitening.mean, "whitening_std": driver.whitening.std}
-    return _bytes(tensors, about | {"hidden": driver.shape.hidden})
+    return _bytes(tensors | (memory or {}), about | {"hidden": driver.shape.hidden})
 
 
-def _read_driver(path: Path) -> tuple[LearnedDriver, dict[str, Any]]:
+def _read_driver(path: Path) -> tuple[LearnedDriver, Tensors, dict[str, Any]]:
+    """Return a file's driver, its other tensors, and what it says about itself."""
     tensors, about = _read(path)
     try:
         shape = Shape(len(about["features"]), about["hidden"])
-        whitening = Whitening(tensors["whitening_mean"], tensors["whitening_std"])
-        driver = LearnedDriver(tensors["theta"], shape, whitening)
+        whitening = Whitening(tensors.pop("whitening_mean"), tensors.pop("whitening_std"))
+        driver = LearnedDriver(tensors.pop("theta"), shape, whitening)
         driver.policy()
     except (KeyError, TypeError, ValueError) as error:
         raise _damaged(path, error) from None
-    return driver, about
+    return driver, tensors, about
 
 
 def _bytes(tensors: Tensors, about: dict[str, Any]) -> bytes:

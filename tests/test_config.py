@@ -66,6 +66,8 @@ def sections(model):
             st.integers(1, 10**6),
         )
         drawn = st.builds(lambda fields, batches: fields | batches, drawn, whole)
+    if model is config.Train:  # cloning has no iterations
+        drawn = drawn.map(lambda fields: fields | ({"iterations": "default"} if fields["learner"] == "bc" else {}))
     return drawn.map(lambda fields: model(**fields))
 
 
@@ -152,7 +154,10 @@ def line(message):
     return f"^{re.escape(message)}$"
 
 
-SECTIONS = "network, episode, traffic, lidar, observation, adas, policy, cloning, search, judge, train, expert"
+SECTIONS = (
+    "network, episode, traffic, lidar, observation, adas, policy, cloning, search, judge, "
+    "gail, dagger, ars, train, expert"
+)
 POLICY_KEYS = "policy.layers, policy.hidden"
 
 

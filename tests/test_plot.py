@@ -19,13 +19,13 @@ def run(tmp_path):
     def make(name, values):
         shape = Shape(N_FEATURES, 2)
         clone = LearnedDriver(np.zeros(shape.size), shape, Whitening(np.zeros(N_FEATURES), np.ones(N_FEATURES)))
-        directory = RunDirectory.create(tmp_path / name, Config(), 0, {}, clone, {"weights": np.zeros(1)})
+        directory = RunDirectory.create(tmp_path / name, Config(), 0, {}, clone)
         rows = tuple(
             {column: float(value) for column in PROGRESS_COLUMNS}
             | {"iteration": number, "environment_steps": 1_000_000 * number, "seconds": 120.0 * number}
             for number, value in enumerate(values, 1)
         )
-        directory.save(Checkpoint(clone.theta, {"weights": np.zeros(1)}, rows))
+        directory.save(Checkpoint(clone, {"judge.weights": np.zeros(1)}, rows))
         return tmp_path / name
 
     return make

@@ -2,28 +2,17 @@ import itertools
 
 import numpy as np
 import pytest
-from toy import episode
+from toy import N_DECISIONS, SHAPE, WHITENING, agreement, episode, expert, sights, wrong_everywhere
 
 from rail_sumo.config import Judge as JudgeSettings
 from rail_sumo.config import Search
 from rail_sumo.imitation import rail
-from rail_sumo.imitation.demonstrations import Demonstrations
 from rail_sumo.imitation.discriminator import Judge, JudgeLoss
 from rail_sumo.imitation.random_search import RandomSearch
-from rail_sumo.policy import Policy, Shape, Whitening
-from rail_sumo.records import MetaAction
+from rail_sumo.policy import Policy
 
-# A world of three sights, drawn anew in every decision, in which the expert always does the same about the same.
-SHAPE = Shape(n_features=3, hidden=None)
-WHITENING = Whitening(np.full(3, 1 / 3), np.full(3, np.sqrt(2) / 3))
-EXPERT_ACTIONS = np.array([MetaAction.ACCELERATE, MetaAction.LEFT, MetaAction.KEEP])
-N_DECISIONS = 40
 SEARCH = Search(n_directions=8, n_top=4, step_size=0.05, noise_std=0.3)
 JUDGE = JudgeSettings(hidden=(16,), minibatches=20, batch_size=128, learning_rate=0.01)
-
-
-def sights(seed, n=N_DECISIONS):
-    return np.eye(3)[np.random.default_rng(seed).integers(3, size=n)]
 
 
 def drive(theta, seed):
@@ -38,25 +27,6 @@ def evaluate(theta, perturbations, iteration):
         for sign in (1.0, -1.0)
     )
     return plus, minus
-
-
-def expert():
-    return Demonstrations.from_trajectories(
-        [episode(seen, EXPERT_ACTIONS[seen.argmax(axis=1)]) for seen in (sights(seed) for seed in range(5))]
-    )
-
-
-def agreement(theta):
-    """In what share of the three sights a policy does what the expert does."""
-    policy = Policy(theta, SHAPE, WHITENING)
-    return np.mean([policy(sight) == action for sight, action in zip(np.eye(3), EXPERT_ACTIONS, strict=True)])
-
-
-def wrong_everywhere():
-    """A policy that always decelerates, by a small margin, which the expert never does."""
-    theta = np.zeros((5, 4))
-    theta[MetaAction.DECELERATE, -1] = 0.2
-    return theta.ravel()
 
 
 def judge(settings=JUDGE, seed=0):

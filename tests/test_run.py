@@ -12,7 +12,7 @@ import pytest
 from safetensors import safe_open
 from safetensors.numpy import load_file, save_file
 
-from rail_sumo import config, drivers, rollout, run
+from rail_sumo import config, drivers, rollout, run, training
 from rail_sumo.errors import InputError
 from rail_sumo.imitation.demonstrations import Demonstrations
 from rail_sumo.records import Trajectory
@@ -56,9 +56,14 @@ def driven(monkeypatch):
         tasks.append(task)
         return drive(task)
 
+    def drive_advised(task):
+        trajectory = drive(task)
+        return trajectory, np.where(trajectory.observations[:, 0] > 0, 1, 2)
+
     monkeypatch.setattr(rollout, "drive", drive_and_note)
+    monkeypatch.setattr(rollout, "drive_advised", drive_advised)
     monkeypatch.setattr(drivers, "load_expert", lambda world: None)
-    monkeypatch.setattr(run.time, "perf_counter", lambda: 0.0)
+    monkeypatch.setattr(training.time, "perf_counter", lambda: 0.0)
     return tasks
 
 
@@ -81,6 +86,11 @@ SMALL = (
     "judge.hidden=[4]",
     "judge.minibatches=2",
     "judge.batch_size=8",
+    "gail.rollouts=2",
+    "gail.critic_hidden=[4]",
+    "gail.epochs=2",
+    "gail.batch_size=8",
+    "dagger.rollouts=2",
     "train.trajectories=3",
     "train.iterations=3",
     "train.horizon_s=20.0",
@@ -106,14 +116,14 @@ def interrupted_after(n_writes, replace=Path.replace):
 
 def test_interrupted_at_any_write_training_resumes_to_the_same_bytes(small, driven, tmp_path, monkeypatch):
     run.train(small, tmp_path / "whole", seed=1)
-    # Configuration and clone; four files for the clone and for each of three iterations; four tables.
-    for n_writes in range(2 + 4 * 4 + 4):
+    # Configuration and clone; three files for the clone and four for each of three iterations; four tables.
+    for n_writes in range(2 + 3 + 4 * 3 + 4):
         out = tmp_path / f"interrupted-{n_writes}"
         with monkeypatch.context() as patched:
             patched.setattr(Path, "replace", interrupted_after(n_writes))
             with pytest.raises(KeyboardInterrupt):
                 run.train(small, out, seed=1)
-        assert out.exists() == (n_writes >= 6)  # not before it is whole
+        assert out.exists() == (n_writes >= 5)  # not before it is whole
         run.train(small, out, seed=1, resume=out.exists())
         assert contents(out) == contents(tmp_path / "whole")
 
@@ -233,10 +243,30 @@ def lasting(small, iterations):
     return small.model_copy(update={"train": small.train.model_copy(update={"iterations": iterations})})
 
 
-def test_a_run_resumed_for_more_iterations_is_one_that_was_to_have_them(small, trained, tmp_path):
-    run.train(lasting(small, 5), trained, seed=1, resume=True)
-    run.train(lasting(small, 5), tmp_path / "longer", seed=1)
-    assert contents(trained) == contents(tmp_path / "longer")
+@pytest.mark.parametrize("learner", ["rail", "gail", "dagger", "ars"])
+def test_a_run_resumed_for_more_iterations_is_one_that_was_to_have_them(small, driven, tmp_path, learner):
+    world = small.model_copy(update={"train": small.train.model_copy(update={"learner": learner})})
+    run.train(lasting(world, 2), tmp_path / "run", seed=1)
+    shorter = contents(tmp_path / "run")
+    run.train(lasting(world, 4), tmp_path / "run", seed=1, resume=True)
+    run.train(lasting(world, 4), tmp_path / "longer", seed=1)
+    assert contents(tmp_path / "run") == contents(tmp_path / "longer")
+    assert contents(tmp_path / "run")[POLICY] != shorter[POLICY]
+
+
+def test_a_learner_is_set_beside_its_clone_if_it_has_one(small, driven, tmp_path):
+    beside = {"rail": ["rail", "clone"], "gail": ["gail", "clone"], "dagger": ["dagger", "clone"], "ars": ["ars"]}
+    for learner, policies in beside.items():
+        world = small.model_copy(update={"train": small.train.model_copy(update={"learner": learner})})
+        episodes, _ = run.train(world, tmp_path / learner, seed=1)
+        assert list(episodes["policy"].unique()) == [*policies, "expert"]
+
+
+def test_behaviour_cloning_is_the_clone_that_rail_starts_from(small, driven, trained, tmp_path):
+    cloning = {"learner": "bc", "iterations": "default"}
+    run.train(small.model_copy(update={"train": small.train.model_copy(update=cloning)}), tmp_path / "bc", seed=1)
+    cloned, start = load_file(tmp_path / "bc" / POLICY), load_file(trained / CLONE)
+    np.testing.assert_equal(cloned, start)
 
 
 def test_a_run_cannot_be_resumed_for_fewer_iterations_than_it_has(small, trained):

@@ -1,10 +1,46 @@
-"""Episodes of a world without roads: what the learners' tests are about does not depend on SUMO."""
+"""A world without roads: what the learners' tests are about does not depend on SUMO.
+
+Three sights, drawn anew in every decision; the expert always does the same about the same.
+"""
 
 import math
 
 import numpy as np
 
-from rail_sumo.records import Trajectory
+from rail_sumo.imitation.demonstrations import Demonstrations
+from rail_sumo.policy import Policy, Shape, Whitening
+from rail_sumo.records import MetaAction, Trajectory
+
+SHAPE = Shape(n_features=3, hidden=None)
+WHITENING = Whitening(np.full(3, 1 / 3), np.full(3, np.sqrt(2) / 3))
+EXPERT_ACTIONS = np.array([MetaAction.ACCELERATE, MetaAction.LEFT, MetaAction.KEEP])
+N_DECISIONS = 40
+
+
+def sights(seed, n=N_DECISIONS):
+    return np.eye(3)[np.random.default_rng(seed).integers(3, size=n)]
+
+
+def advice(seen):
+    """What the expert does about each sight, shape (n,)."""
+    return EXPERT_ACTIONS[seen.argmax(axis=1)]
+
+
+def expert():
+    return Demonstrations.from_trajectories([episode(seen, advice(seen)) for seen in map(sights, range(5))])
+
+
+def agreement(theta, shape=SHAPE, whitening=WHITENING):
+    """In what share of the three sights a policy does what the expert does."""
+    policy = Policy(theta, shape, whitening)
+    return np.mean([policy(sight) == action for sight, action in zip(np.eye(3), EXPERT_ACTIONS, strict=True)])
+
+
+def wrong_everywhere():
+    """A policy that always decelerates, by a small margin, which the expert never does."""
+    theta = np.zeros((5, 4))
+    theta[MetaAction.DECELERATE, -1] = 0.2
+    return theta.ravel()
 
 
 def episode(observations, actions, end_reason="duration", seed=0):

@@ -7,7 +7,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rail_sumo.config import Adas
-from rail_sumo.records import KMH, Floats
+from rail_sumo.records import KMH, Floats, Trajectory
 
 # Per SUMO step or per event.
 LANE_CHANGING = -0.5
@@ -42,6 +42,19 @@ def reward(
         + OVERTAKEN * overtaken
         + REFUSED_DECISION * refused_decisions
         + COLLISION * collisions
+    )
+
+
+def total_reward(trajectory: Trajectory, adas: Adas) -> float:
+    """Return what an episode earned."""
+    return reward(
+        trajectory.speed_mps[1:],
+        trajectory.lane_changing,
+        adas,
+        overtakes=trajectory.overtakes,
+        overtaken=trajectory.overtaken,
+        refused_decisions=trajectory.refused_decisions,
+        collisions=trajectory.collisions,
     )
 
 

@@ -69,6 +69,16 @@ class Demonstrations:
         taken = np.isin(self.episode, np.unique(self.episode)[:n_episodes])
         return Demonstrations(self.observations[taken], self.actions[taken], self.episode[taken])
 
+    def joined(self, driven: Sequence[tuple[Floats, NDArray[np.int64]]]) -> "Demonstrations":
+        """Return these and further episodes' observations and decisions, numbered on."""
+        first = int(self.episode.max()) + 1
+        observations, actions = zip(*driven, strict=True)
+        return Demonstrations(
+            np.concatenate([self.observations, *observations]),
+            np.concatenate([self.actions, *actions]),
+            np.concatenate([self.episode, np.repeat(np.arange(len(driven)) + first, list(map(len, actions)))]),
+        )
+
     @classmethod
     def from_trajectories(cls, trajectories: Sequence[Trajectory]) -> "Demonstrations":
         """Gather driven episodes, at least one, and number them from 0."""

@@ -17,7 +17,7 @@ from torch import Tensor
 
 from rail_sumo import config
 from rail_sumo.imitation.demonstrations import Demonstrations
-from rail_sumo.imitation.perceptron import perceptron, single_threaded
+from rail_sumo.imitation.perceptron import load_training_state, perceptron, single_threaded, training_state
 from rail_sumo.policy import N_ACTIONS, Whitening
 from rail_sumo.records import Floats, Trajectory
 
@@ -125,11 +125,7 @@ class Judge:
 
     def state(self) -> dict[str, NDArray[Any]]:
         """Return copies of all that a later fit depends on: weights, Adam's moments, replayed pairs."""
-        state = {}
-        for name, parameter in self._logit.named_parameters():
-            state[f"network.{name}"] = parameter.detach().numpy().copy()
-            for moment, value in self._adam.state[parameter].items():  # none before the first fit
-                state[f"adam.{name}.{moment}"] = value.numpy().copy()
+        state = training_state(self._logit, self._adam)
         for age, pairs in enumerate(reversed(self._replay), start=1):
             state[f"replay.{age}"] = pairs.numpy().copy()
         return state
@@ -141,16 +137,7 @@ class Judge:
             KeyError: a weight is missing.
             ValueError: a weight has another shape than this judge's.
         """
-        for name, parameter in self._logit.named_parameters():
-            weights = state[f"network.{name}"]
-            if weights.shape != parameter.shape:
-                raise ValueError(f"network.{name} must have shape {tuple(parameter.shape)}; got {weights.shape}")
-            with torch.no_grad():
-                parameter.copy_(torch.tensor(weights))
-            prefix = f"adam.{name}."
-            self._adam.state[parameter] = {
-                key.removeprefix(prefix): torch.tensor(value) for key, value in state.items() if key.startswith(prefix)
-            }
+        load_training_state(self._logit, self._adam, state)
         n_replayed = sum(key.startswith("replay.") for key in state)
         self._replay.clear()
         self._replay.extend(torch.tensor(state[f"replay.{age}"]) for age in range(n_replayed, 0, -1))

@@ -1,11 +1,13 @@
-"""The one kind of network here: fully connected, tanh between its layers, none after the last."""
+"""The one kind of network here, fully connected with tanh between its layers; and how training it goes on later."""
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from itertools import pairwise
+from typing import Any
 
 import numpy as np
 import torch
+from numpy.typing import NDArray
 from torch import nn
 
 
@@ -17,6 +19,35 @@ def perceptron(sizes: Sequence[int], rng: np.random.Generator) -> nn.Sequential:
         for n_inputs, n_outputs in pairwise(sizes):
             layers += [nn.Linear(n_inputs, n_outputs), nn.Tanh()]
     return nn.Sequential(*layers[:-1])
+
+
+def training_state(network: nn.Module, adam: torch.optim.Optimizer) -> dict[str, NDArray[Any]]:
+    """Return copies of all that a later training step depends on: the network's weights and Adam's moments."""
+    state = {}
+    for name, parameter in network.named_parameters():
+        state[f"network.{name}"] = parameter.detach().numpy().copy()
+        for moment, value in adam.state[parameter].items():  # none before the first step
+            state[f"adam.{name}.{moment}"] = value.numpy().copy()
+    return state
+
+
+def load_training_state(network: nn.Module, adam: torch.optim.Optimizer, state: Mapping[str, NDArray[Any]]) -> None:
+    """Go on from what `training_state` returned; other keys are left alone.
+
+    Raises:
+        KeyError: a weight is missing.
+        ValueError: a weight has another shape than the network's.
+    """
+    for name, parameter in network.named_parameters():
+        weights = state[f"network.{name}"]
+        if weights.shape != parameter.shape:
+            raise ValueError(f"network.{name} must have shape {tuple(parameter.shape)}; got {weights.shape}")
+        with torch.no_grad():
+            parameter.copy_(torch.tensor(weights))
+        prefix = f"adam.{name}."
+        adam.state[parameter] = {
+            key.removeprefix(prefix): torch.tensor(value) for key, value in state.items() if key.startswith(prefix)
+        }
 
 
 @contextmanager

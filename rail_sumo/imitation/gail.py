@@ -1,0 +1,212 @@
+"""Generative adversarial imitation learning: the judge of RAIL, and PPO's gradients in place of random search.
+
+Source: Ho & Ermon, "Generative adversarial imitation learning" (NeurIPS 2016), with PPO (Schulman et al. 2017) from
+stable-baselines3 in place of TRPO, as in the paper's comparison.
+"""
+
+import itertools
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any, Protocol
+
+import gymnasium
+import numpy as np
+import torch
+from gymnasium import spaces
+from numpy.typing import NDArray
+from stable_baselines3 import PPO
+from stable_baselines3.common.buffers import RolloutBuffer
+from stable_baselines3.common.logger import Logger
+from stable_baselines3.common.utils import set_random_seed
+
+from rail_sumo import config
+from rail_sumo.imitation.demonstrations import Demonstrations
+from rail_sumo.imitation.discriminator import JudgeLoss
+from rail_sumo.imitation.perceptron import load_training_state, single_threaded, training_state
+from rail_sumo.policy import N_ACTIONS, Shape, Whitening, unflatten
+from rail_sumo.records import Floats, Trajectory
+
+Sample = Callable[[Floats, int], list[Trajectory]]
+"""(theta, iteration) -> rollouts whose actions are drawn with the probabilities of theta's policy."""
+
+_Columns = tuple[NDArray[Any], ...]
+
+
+class Judge(Protocol):
+    """Whoever tells expert and learner apart."""
+
+    def fit(self, expert: Demonstrations, learner: Sequence[Trajectory], rng: np.random.Generator) -> JudgeLoss:
+        """Learn to tell them apart a little better."""
+
+    def rewards(self, observations: Floats, actions: NDArray[np.int64]) -> Floats:
+        """Return how much like the expert each of n decisions looks, shape (n,); more is better."""
+
+
+@dataclass(frozen=True)
+class GailState:
+    """What an iteration did."""
+
+    iteration: int
+    theta: Floats
+    """The policy after the update."""
+    step_norm: float
+    """How far theta moved."""
+    judge_loss: JudgeLoss
+    driven: list[Trajectory]
+    """The rollouts it was decided by, from before the update."""
+
+
+def train(
+    ppo: "Ppo", demonstrations: Demonstrations, *, judge: Judge, sample: Sample, seed: int, first_iteration: int = 1
+) -> Iterator[GailState]:
+    """Run GAIL, yielding a `GailState` after every iteration, without end.
+
+    Args:
+        ppo: holds the policy, cloned, and improves it.
+        demonstrations: the expert's.
+        judge: learns as training goes on.
+        sample: drives the policy.
+        seed: of the minibatches. Every iteration draws from a child of its own, so that going on after iteration k
+            takes `ppo` and the judge as they then were, and `first_iteration` = k + 1; the result is the same.
+        first_iteration: the number of the first iteration yielded.
+    """
+    for iteration in itertools.count(first_iteration):
+        rng = np.random.default_rng(np.random.SeedSequence(seed, spawn_key=(*b"gail", iteration)))
+        before = ppo.theta()
+        driven = sample(before, iteration)
+        judge_loss = judge.fit(expert=demonstrations, learner=driven, rng=rng)
+        ppo.update(driven, judge.rewards, rng)
+        theta = ppo.theta()
+        yield GailState(iteration, theta, float(np.linalg.norm(theta - before)), judge_loss, driven)
+
+
+class Ppo:
+    """Actor, critic and update of stable-baselines3's PPO, on rollouts that were driven elsewhere.
+
+    Args:
+        theta: the policy to start from, shape (shape.size,).
+        shape: the layout of theta; the actor is laid out alike.
+        whitening: the policy's own; actor and critic see whitened observations.
+        settings: PPO's.
+        lowest_reward: the judge's; a collision leads into an absorbing state, which earns it for ever.
+        seed: of the critic's first weights.
+    """
+
+    def __init__(
+        self,
+        theta: Floats,
+        shape: Shape,
+        whitening: Whitening,
+        settings: config.Gail,
+        *,
+        lowest_reward: float,
+        seed: int,
+    ) -> None:
+        self._whitening = whitening
+        self._lowest_reward = lowest_reward
+        hidden = [] if shape.hidden is None else [shape.hidden]
+        self._ppo = PPO(
+            "MlpPolicy",
+            _Spaces(shape.n_features),
+            learning_rate=settings.learning_rate,
+            n_steps=settings.batch_size,  # of a buffer that `update` replaces
+            batch_size=settings.batch_size,
+            n_epochs=settings.epochs,
+            gamma=settings.discount,
+            gae_lambda=settings.gae_lambda,
+            ent_coef=settings.entropy,
+            policy_kwargs={
+                "net_arch": {"pi": hidden, "vf": list(settings.critic_hidden)},
+                "activation_fn": torch.nn.Tanh,
+            },
+            seed=int(np.random.SeedSequence(seed, spawn_key=tuple(b"gail")).generate_state(1)[0]),
+            device="cpu",
+        )
+        self._ppo.set_logger(Logger(folder=None, output_formats=[]))
+        with torch.no_grad():
+            for layer, matrix in zip(self._actor(), unflatten(theta, shape), strict=True):
+                layer.weight.copy_(torch.tensor(matrix[:, :-1]))
+                layer.bias.copy_(torch.tensor(matrix[:, -1]))
+
+    def theta(self) -> Floats:
+        """Return the policy, laid out as `policy.unflatten` splits it."""
+        matrices = [torch.column_stack([layer.weight, layer.bias]) for layer in self._actor()]
+        return torch.cat([matrix.flatten() for matrix in matrices]).detach().numpy().astype(np.float64)
+
+    @single_threaded()
+    def update(
+        self,
+        driven: Sequence[Trajectory],
+        rewards: Callable[[Floats, NDArray[np.int64]], Floats],
+        rng: np.random.Generator,
+    ) -> None:
+        """Improve the policy by rollouts of its own.
+
+        A rollout's last observation stands for all that would follow, at the critic's word, and its last decision is
+        left out: the horizon cut it short. Not so after a collision.
+
+        Args:
+            driven: rollouts of the policy, each of two decisions or more.
+            rewards: the judge's, of observations (n, n_features) and actions (n,).
+            rng: orders the minibatches.
+        """
+        set_random_seed(int(rng.integers(2**32)))
+        parts = [self._valued(trajectory, rewards) for trajectory in driven]
+        observations, actions, earned, starts, values, log_probs = (
+            np.concatenate(column) for column in zip(*parts, strict=True)
+        )
+        buffer = RolloutBuffer(
+            len(actions),
+            self._ppo.observation_space,
+            self._ppo.action_space,
+            gae_lambda=self._ppo.gae_lambda,
+            gamma=self._ppo.gamma,
+        )
+        buffer.observations[:, 0], buffer.actions[:, 0, 0], buffer.rewards[:, 0] = observations, actions, earned
+        buffer.episode_starts[:, 0], buffer.values[:, 0], buffer.log_probs[:, 0] = starts, values, log_probs
+        buffer.pos, buffer.full = len(actions), True
+        # The stream ends with a rollout's end: nothing follows that has not been added to its last reward.
+        buffer.compute_returns_and_advantage(torch.zeros(1), dones=np.ones(1))
+        self._ppo.rollout_buffer = buffer
+        self._ppo.train()
+
+    def state(self) -> dict[str, NDArray[Any]]:
+        """Return copies of all that a later update depends on: weights and Adam's moments."""
+        return training_state(self._ppo.policy, self._ppo.policy.optimizer)
+
+    def load_state(self, state: Mapping[str, NDArray[Any]]) -> None:
+        """Go on from what `state` returned.
+
+        Raises:
+            KeyError: a weight is missing.
+            ValueError: a weight has another shape than this one's.
+        """
+        load_training_state(self._ppo.policy, self._ppo.policy.optimizer, state)
+
+    def _actor(self) -> list[torch.nn.Linear]:
+        policy = self._ppo.policy
+        modules = [*policy.mlp_extractor.policy_net, policy.action_net]
+        return [module for module in modules if isinstance(module, torch.nn.Linear)]
+
+    def _valued(self, trajectory: Trajectory, rewards: Callable[[Floats, NDArray[np.int64]], Floats]) -> _Columns:
+        """Return the buffer's columns of a rollout: observation, action, reward, start, value, log-probability."""
+        whitened = (trajectory.observations - self._whitening.mean) / self._whitening.std
+        observations = torch.from_numpy(whitened.astype(np.float32))
+        with torch.no_grad():
+            values, log_probs, _ = self._ppo.policy.evaluate_actions(observations, torch.from_numpy(trajectory.actions))
+        earned = rewards(trajectory.observations, trajectory.actions)
+        starts = np.arange(len(earned)) == 0
+        columns = (observations.numpy(), trajectory.actions, earned, starts, values.numpy()[:, 0], log_probs.numpy())
+        if trajectory.end_reason == "collision":
+            earned[-1] += self._ppo.gamma / (1 - self._ppo.gamma) * self._lowest_reward
+            return columns
+        earned[-2] += self._ppo.gamma * columns[4][-1]
+        return tuple(column[:-1] for column in columns)
+
+
+class _Spaces(gymnasium.Env[NDArray[np.float32], np.int64]):
+    """What PPO asks of an environment that it never steps."""
+
+    def __init__(self, n_features: int) -> None:
+        self.observation_space = spaces.Box(-np.inf, np.inf, (n_features,), np.float32)
+        self.action_space = spaces.Discrete(N_ACTIONS)

@@ -1,0 +1,282 @@
+"""Which learner, on which rollouts: a run from its clone to its last iteration, every one saved as it is done."""
+
+import itertools
+import math
+import time
+from collections.abc import Iterator
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import numpy as np
+from numpy.typing import NDArray
+
+from rail_sumo import assets, drivers, metrics, rollout
+from rail_sumo.config import Config
+from rail_sumo.highway import road
+from rail_sumo.highway.observation import feature_names
+from rail_sumo.highway.reward import total_reward
+from rail_sumo.imitation.demonstrations import Demonstrations
+from rail_sumo.policy import Shape, Whitening
+from rail_sumo.records import Floats, Trajectory
+from rail_sumo.rollout import SILENT, TRAINING, LearnedDriver, Observer, Task, WorkerCount, Workers, traffic_seed
+from rail_sumo.run_directory import JUDGES, Checkpoint, Row, RunDirectory, Tensors, require_new
+
+if TYPE_CHECKING:  # torch takes seconds to import, and not every command trains
+    from rail_sumo.imitation.discriminator import Judge, JudgeLoss
+
+PPO = "ppo."
+"""What the names of PPO's tensors begin with in a checkpoint."""
+
+
+@dataclass(frozen=True)
+class Iteration:
+    """What an iteration came to, whichever the learner."""
+
+    learned: LearnedDriver
+    memory: Tensors
+    """All else that the next iteration depends on."""
+    driven: list[Trajectory]
+    figures: Row
+    """What the learner alone knows: some of the columns of `progress.csv`."""
+
+
+def learn(
+    config: Config, out: Path, *, seed: int, workers: WorkerCount = 1, resume: bool = False, observer: Observer = SILENT
+) -> RunDirectory:
+    """Start a run, or take it up again, and bring it to its last iteration.
+
+    Raises:
+        InputError: as in `run.train`.
+    """
+    run = RunDirectory(out) if resume else None
+    if run is None:
+        require_new(out)
+    demonstrations = _demonstrations(config)
+    inputs = _inputs(config)
+    if run is None:
+        run = RunDirectory.create(out, config, seed, inputs, _start(config, demonstrations, seed))
+    else:
+        run.go_on(config, seed, inputs)
+
+    checkpoint = run.checkpoint()
+    observer.start(config.train.learner, config.train.n_iterations, done=checkpoint.iteration)
+    started = time.perf_counter() - (checkpoint.progress[-1]["seconds"] if checkpoint.progress else 0.0)
+    with rollout.workers(workers) as pool:
+        iterations = LEARNERS[config.train.learner](Practice(run, pool), checkpoint, demonstrations)
+        for iteration in itertools.islice(iterations, config.train.n_iterations - checkpoint.iteration):
+            row = _progress(iteration, checkpoint.progress, time.perf_counter() - started)
+            checkpoint = Checkpoint(iteration.learned, iteration.memory, (*checkpoint.progress, row))
+            run.save(checkpoint)
+            observer.advance(row)
+    return run
+
+
+class Practice:
+    """Drives a learner's training rollouts: of one length, on traffic that is new in every iteration."""
+
+    def __init__(self, run: RunDirectory, pool: Workers) -> None:
+        self.run = run
+        self._pool = pool
+        episode = run.config.episode.model_copy(update={"course_m": math.inf, "duration_s": run.config.train.horizon_s})
+        self._world = run.config.model_copy(update={"episode": episode})
+
+    def pairs(
+        self, learner: LearnedDriver, perturbations: Floats, iteration: int
+    ) -> tuple[list[Trajectory], list[Trajectory]]:
+        """Drive theta plus and minus each perturbation, both on the same traffic."""
+        tasks = [
+            self._task(replace(learner, theta=learner.theta + sign * delta), iteration, direction)
+            for sign in (1.0, -1.0)
+            for direction, delta in enumerate(perturbations)
+        ]
+        driven = list(self._pool.map(rollout.drive, tasks))
+        return driven[: len(perturbations)], driven[len(perturbations) :]
+
+    def sampled(self, learner: LearnedDriver, n_rollouts: int, iteration: int) -> list[Trajectory]:
+        """Drive by actions drawn with the policy's probabilities."""
+        drawing = replace(learner, draws=True)
+        return list(self._pool.map(rollout.drive, [self._task(drawing, iteration, i) for i in range(n_rollouts)]))
+
+    def advised(
+        self, learner: LearnedDriver, adviser: drivers.Expert, n_rollouts: int, iteration: int
+    ) -> list[tuple[Trajectory, NDArray[np.int64]]]:
+        """Drive by the policy; beside each rollout, what the adviser would have decided."""
+        tasks = [replace(self._task(learner, iteration, i), adviser=adviser) for i in range(n_rollouts)]
+        return list(self._pool.map(rollout.drive_advised, tasks))
+
+    def _task(self, driver: LearnedDriver, iteration: int, number: int) -> Task:
+        return Task(driver, self._world, traffic_seed(self.run.seed, TRAINING, iteration, number))
+
+
+def _rail(practice: Practice, checkpoint: Checkpoint, demonstrations: Demonstrations) -> Iterator[Iteration]:
+    from rail_sumo.imitation import rail
+
+    run, start = practice.run, checkpoint.learned
+    judge = _judge(run, checkpoint.memory)
+    for state in rail.train(
+        start.theta,
+        demonstrations,
+        search=run.config.search,
+        judge=judge,
+        evaluate=lambda theta, perturbations, number: practice.pairs(
+            replace(start, theta=theta), perturbations, number
+        ),
+        seed=run.seed,
+        first_iteration=checkpoint.iteration + 1,
+    ):
+        driven = [*state.plus, *state.minus]
+        figures = _verdict(state.judge_loss, judge.returns(driven)) | {"step_norm": state.step_norm}
+        yield Iteration(replace(start, theta=state.theta), _named(JUDGES, judge.state()), driven, figures)
+
+
+def _gail(practice: Practice, checkpoint: Checkpoint, demonstrations: Demonstrations) -> Iterator[Iteration]:
+    from rail_sumo.imitation import gail
+
+    run, start = practice.run, checkpoint.learned
+    judge = _judge(run, checkpoint.memory)
+    ppo = gail.Ppo(
+        start.theta,
+        start.shape,
+        start.whitening,
+        run.config.gail,
+        lowest_reward=-run.config.judge.reward_clip,
+        seed=run.seed,
+    )
+    if checkpoint.memory:
+        ppo.load_state(_part(PPO, checkpoint.memory))
+    for state in gail.train(
+        ppo,
+        demonstrations,
+        judge=judge,
+        sample=lambda theta, number: practice.sampled(replace(start, theta=theta), run.config.gail.rollouts, number),
+        seed=run.seed,
+        first_iteration=checkpoint.iteration + 1,
+    ):
+        figures = _verdict(state.judge_loss, judge.returns(state.driven)) | {"step_norm": state.step_norm}
+        memory = _named(JUDGES, judge.state()) | _named(PPO, ppo.state())
+        yield Iteration(replace(start, theta=state.theta), memory, state.driven, figures)
+
+
+def _dagger(practice: Practice, checkpoint: Checkpoint, demonstrations: Demonstrations) -> Iterator[Iteration]:
+    from rail_sumo.imitation import bc, dagger
+
+    run, start = practice.run, checkpoint.learned
+    expert = drivers.load_expert(run.config)
+    for state in dagger.train(
+        start.theta,
+        Demonstrations(**checkpoint.memory) if checkpoint.memory else demonstrations,
+        fit=lambda labelled: bc.clone(labelled, start.shape, start.whitening, run.config.cloning, run.seed),
+        advise=lambda theta, number: practice.advised(
+            replace(start, theta=theta), expert, run.config.dagger.rollouts, number
+        ),
+        first_iteration=checkpoint.iteration + 1,
+    ):
+        learned = replace(start, theta=state.theta)
+        yield Iteration(learned, dict(vars(state.labelled)), state.driven, {"step_norm": state.step_norm})
+
+
+def _ars(practice: Practice, checkpoint: Checkpoint, demonstrations: Demonstrations) -> Iterator[Iteration]:
+    from rail_sumo.imitation import ars
+
+    run, start = practice.run, checkpoint.learned
+    for state in ars.train(
+        start.theta,
+        ars.Moments(**checkpoint.memory) if checkpoint.memory else ars.Moments.none(start.shape.n_features),
+        search=run.config.search,
+        whiten=run.config.ars.whitening,
+        evaluate=lambda theta, whitening, perturbations, number: practice.pairs(
+            replace(start, theta=theta, whitening=whitening), perturbations, number
+        ),
+        returns=lambda driven: np.array([total_reward(trajectory, run.config.adas) for trajectory in driven]),
+        seed=run.seed,
+        first_iteration=checkpoint.iteration + 1,
+    ):
+        learned = replace(start, theta=state.theta, whitening=state.whitening)
+        figures = {"mean_return": state.mean_return, "step_norm": state.step_norm}
+        yield Iteration(learned, dict(vars(state.moments)), state.driven, figures)
+
+
+def _cloning(practice: Practice, checkpoint: Checkpoint, demonstrations: Demonstrations) -> Iterator[Iteration]:
+    """Behaviour cloning is done before the first iteration."""
+    return iter(())
+
+
+LEARNERS = {"rail": _rail, "gail": _gail, "bc": _cloning, "dagger": _dagger, "ars": _ars}
+
+
+def improves_a_clone(config: Config) -> bool:
+    """Return whether the learner starts from a clone of the demonstrations, and is more than that."""
+    return config.train.learner in ("rail", "gail", "dagger")
+
+
+def _start(config: Config, demonstrations: Demonstrations, seed: int) -> LearnedDriver:
+    """Return what the first iteration starts from: a clone, or for a learner without demonstrations a fresh network."""
+    from rail_sumo.imitation import bc
+
+    cloning, whitening = config.cloning, Whitening.of(demonstrations.observations)
+    if config.train.learner == "ars":
+        cloning = cloning.model_copy(update={"epochs": 0})
+        whitening = Whitening(np.zeros_like(whitening.mean), np.ones_like(whitening.std))
+    n_features = len(feature_names(config.lidar, config.observation))
+    shape = Shape(n_features, config.policy.hidden if config.policy.layers == 2 else None)
+    return LearnedDriver(bc.clone(demonstrations, shape, whitening, cloning, seed), shape, whitening)
+
+
+def _judge(run: RunDirectory, memory: Tensors) -> "Judge":
+    from rail_sumo.imitation.discriminator import Judge
+
+    config, clone = run.config, run.clone
+    horizon_decisions = round(config.train.horizon_s / config.episode.decision_period_s)
+    judge = Judge(clone.shape.n_features, clone.whitening, config.judge, run.seed, horizon_decisions)
+    if memory:
+        judge.load_state(_part(JUDGES, memory))
+    return judge
+
+
+def _verdict(loss: "JudgeLoss", returns: Floats) -> dict[str, float]:
+    return {
+        "mean_return": float(returns.mean()),
+        "judge_loss": loss.loss,
+        "judge_expert_mean": loss.expert_mean,
+        "judge_learner_mean": loss.learner_mean,
+    }
+
+
+def _named(prefix: str, tensors: Tensors) -> Tensors:
+    return {prefix + name: tensor for name, tensor in tensors.items()}
+
+
+def _part(prefix: str, tensors: Tensors) -> Tensors:
+    return {name.removeprefix(prefix): tensor for name, tensor in tensors.items() if name.startswith(prefix)}
+
+
+def _progress(iteration: Iteration, before: tuple[Row, ...], seconds: float) -> Row:
+    steps_before = before[-1]["environment_steps"] if before else 0
+    return {
+        "iteration": len(before) + 1,
+        "environment_steps": steps_before + sum(len(trajectory.lane_changing) for trajectory in iteration.driven),
+        "seconds": round(seconds, 3),
+        **iteration.figures,
+        **metrics.means(iteration.driven),
+    }
+
+
+def _demonstrations(config: Config) -> Demonstrations:
+    features = feature_names(config.lidar, config.observation)
+    return Demonstrations.load(_demonstrations_file(config), features=features).take(config.train.trajectories)
+
+
+def _demonstrations_file(config: Config) -> Path:
+    name = config.train.demonstrations
+    return assets.expert(assets.EXPERT_DEMONSTRATIONS) if name == "expert" else Path(name)
+
+
+def _inputs(config: Config) -> dict[str, str]:
+    """Return the SHA-256 of every file that a training with this configuration reads, by the key that names it."""
+    demand = road.check_demand(config.traffic.routes)
+    return {
+        "network.file": assets.sha256(assets.network(config.network.file)),
+        "traffic.routes": " ".join(map(assets.sha256, demand)),
+        "train.demonstrations": assets.sha256(_demonstrations_file(config)),
+    }
