@@ -9,13 +9,14 @@ seeds are interquartile means with intervals, which of few seeds are too narrow 
 
 import argparse
 import itertools
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pandas as pd
 from scipy import stats
 
-from rail_sumo import config, metrics, rollout, run, statistics
+from rail_sumo import config, metrics, rollout, run, statistics, training
 from rail_sumo.imitation import rail
 from rail_sumo.imitation.demonstrations import Demonstrations
 from rail_sumo.imitation.discriminator import JudgeLoss
@@ -96,30 +97,16 @@ def control(folder: Path, iterations: int, episodes: int) -> None:
     """Train `folder`'s clone under judges that know nothing; a permutation test over the same traffic for each."""
     learned = RunDirectory(folder)
     world, clone = learned.config, learned.clone
-    short = world.episode.model_copy(update={"course_m": float("inf"), "duration_s": world.train.horizon_s})
-    training_world = world.model_copy(update={"episode": short})
-    none = Demonstrations.from_trajectories([rollout.drive(rollout.Task("keep", training_world, 0))])
+    none = Demonstrations(np.zeros((1, clone.shape.n_features)), np.zeros(1, np.int64), np.zeros(1, np.int64))
     with rollout.workers(2) as pool:
-
-        def drive(tasks):
-            return list(pool.map(rollout.drive, tasks))
+        practice = training.Practice(learned, pool)
 
         def evaluate(theta, perturbations, iteration):
-            tasks = [
-                rollout.Task(
-                    rollout.LearnedDriver(theta + sign * delta, clone.shape, clone.whitening),
-                    training_world,
-                    rollout.traffic_seed(learned.seed, rollout.TRAINING, iteration, direction),
-                )
-                for sign in (1.0, -1.0)
-                for direction, delta in enumerate(perturbations)
-            ]
-            driven = drive(tasks)
-            return driven[: len(perturbations)], driven[len(perturbations) :]
+            return practice.pairs(replace(clone, theta=theta), perturbations, iteration)
 
         def speeds(driver):
             seeds = [rollout.traffic_seed(learned.seed, rollout.EVALUATION, episode) for episode in range(episodes)]
-            driven = drive(rollout.Task(driver, world, seed) for seed in seeds)
+            driven = pool.map(rollout.drive, [rollout.Task(driver, world, seed) for seed in seeds])
             return np.array([metrics.row(trajectory, world.adas)["speed_kmh"] for trajectory in driven])
 
         by_clone = speeds(clone)
@@ -129,7 +116,7 @@ def control(folder: Path, iterations: int, episodes: int) -> None:
                 clone.theta, none, search=world.search, judge=judge, evaluate=evaluate, seed=learned.seed
             )
             theta = next(itertools.islice(states, iterations - 1, None)).theta
-            contenders[name] = speeds(rollout.LearnedDriver(theta, clone.shape, clone.whitening))
+            contenders[name] = speeds(replace(clone, theta=theta))
     print(f"clone: {by_clone.mean():.2f} km/h over {episodes} held-out episodes")
     for name, speed in contenders.items():
         test = stats.permutation_test(

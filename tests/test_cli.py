@@ -163,9 +163,8 @@ def a_run(tmp_path):
     """A run directory of one iteration, started with other than the default configuration."""
     shape = Shape(48, 1)
     clone = LearnedDriver(np.zeros(shape.size), shape, Whitening(np.zeros(48), np.ones(48)))
-    judge = {"weights": np.zeros(1)}
-    started = RunDirectory.create(tmp_path / "mine", config.load(None, ["search.noise_std=0.07"]), 4, {}, clone, judge)
-    started.save(Checkpoint(clone.theta, judge, (dict.fromkeys(PROGRESS_COLUMNS, 1.0),)))
+    started = RunDirectory.create(tmp_path / "mine", config.load(None, ["search.noise_std=0.07"]), 4, {}, clone)
+    started.save(Checkpoint(clone, {}, (dict.fromkeys(PROGRESS_COLUMNS, 1.0),)))
 
 
 def test_resumed_with_an_override_the_rest_of_the_configuration_is_the_runs(rail_sumo, monkeypatch, a_run):
