@@ -110,7 +110,7 @@ def evaluate(
     with _bars() as observer:
         tables = run.evaluate(who, world, episodes=episodes, seed=seed, workers=n_workers, observer=observer)
     if out:
-        report.write(*tables, out, overwrite=overwrite)
+        report.write(out, episodes=tables[0], summary=tables[1], overwrite=overwrite)
     _show(tables, out)
 
 
@@ -126,6 +126,34 @@ def plot(
 
     plot.save(plot.learning_curves(runs, against), out, overwrite=overwrite)
     print(f"learning curves in {out}")
+
+
+@app.command()
+def reproduce(
+    experiment: Annotated[Literal["table1", "figures"], typer.Argument(help="Table 1, or Figures 3 and 4.")],
+    config_file: ConfigFile = None,
+    overrides: Overrides = None,
+    out: Annotated[Path, typer.Option(help="Folder for cells, table and figures.")] = Path("runs/reproduce"),
+    seeds: Annotated[int | None, typer.Option(help="Trainings per cell.", show_default="10, with --quick 2")] = None,
+    quick: Annotated[bool, typer.Option("--quick", help="Fewer iterations, for a first look.")] = False,
+    workers: Workers = "",
+) -> None:
+    """Repeat the paper's experiments; what is in the folder already is not done again."""
+    from rail_sumo import reproduce
+
+    chosen = config.load(config_file, overrides or ())
+    run = reproduce.table1 if experiment == "table1" else reproduce.figures
+    n_seeds = (2 if quick else 10) if seeds is None else seeds
+    n_workers = _workers(workers)
+    try:
+        with _bars() as observer:
+            run(chosen, out, seeds=n_seeds, quick=quick, workers=n_workers, observer=observer)
+    except KeyboardInterrupt:
+        print("rail-sumo: interrupted; the same command goes on", file=sys.stderr)
+        raise typer.Exit(130) from None
+    if experiment == "table1":
+        print((out / "table1.md").read_text(encoding="utf-8"), end="")
+    print(f"{experiment} in {out}")
 
 
 @expert.command("train")

@@ -57,7 +57,7 @@ def train(
     )
     about = {"driver": "expert", "seed": str(seed), "config": dumps(config)}
     with whole_folder(out) as whole:
-        report.write(*tables, whole, overwrite=True)
+        report.write(whole, episodes=tables[0], summary=tables[1], overwrite=True)
         features = feature_names(config.lidar, config.observation)
         save_file(_tensors(expert), whole / EXPERT_POLICY, metadata={"features": json.dumps(features)})
         (whole / CONFIG).write_text(dumps(config), encoding="utf-8")

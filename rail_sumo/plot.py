@@ -1,8 +1,9 @@
-"""Learning curves of one or many runs, as a picture. Needs matplotlib, the extra `plots`."""
+"""Learning curves, and what more demonstrations bring, as pictures. Needs matplotlib, the extra `plots`."""
 
 import itertools
 import re
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
+from importlib.util import find_spec
 from pathlib import Path
 from typing import TYPE_CHECKING, Literal
 
@@ -12,6 +13,7 @@ from scipy import stats
 
 from rail_sumo.errors import InputError
 from rail_sumo.files import check_file, whole_file
+from rail_sumo.records import Floats
 from rail_sumo.run_directory import PROGRESS_COLUMNS, RunDirectory
 
 if TYPE_CHECKING:
@@ -33,6 +35,8 @@ _PANELS = {
     "lane changes a rollout": {"lane_changes": "-"},
     "judge's verdict on expert (solid) and learner (dashed)": {"judge_expert_mean": "-", "judge_learner_mean": "--"},
 }
+_MARKERS = ("o", "s", "^", "D", "v", "P", "X")
+_STYLES = ("-", "--", "-.", ":")
 _COLOURS = ("#0072b2", "#d55e00", "#009e73", "#cc79a7", "#e69f00", "#56b4e9", "#000000")  # Okabe & Ito's
 
 
@@ -49,10 +53,9 @@ def learning_curves(runs: Sequence[Path], against: Against = "steps") -> "Figure
     Raises:
         InputError: matplotlib is not installed; no run directory, a damaged one, or one without an iteration.
     """
-    try:
-        from matplotlib.figure import Figure
-    except ImportError:
-        raise InputError("plotting needs matplotlib; install it with: pip install 'rail-sumo[plots]'") from None
+    require_matplotlib()
+    from matplotlib.figure import Figure
+
     groups: dict[Path, list[pd.DataFrame]] = {}
     for path, run in {run.resolve(): run for run in runs}.items():
         groups.setdefault(group_of(path), []).append(_progress(run))
@@ -72,6 +75,45 @@ def learning_curves(runs: Sequence[Path], against: Against = "steps") -> "Figure
     counts = [f"{at.name} ({len(runs)} runs)" if len(runs) > 1 else at.name for at, runs in groups.items()]
     figure.legend(handles, counts, loc="outside upper center", ncols=min(len(counts), 3), frameon=False)
     return figure
+
+
+def against_trajectories(trajectories: Sequence[int], curves: Mapping[str, Floats], what: str) -> "Figure":
+    """Draw ratios to the expert against the number of demonstrated trajectories, as the paper's Figures 3 and 4 do.
+
+    Args:
+        trajectories: how many were demonstrated, shape (n,).
+        curves: by name, the ratio and the ends of its 95 % interval, shape (n, 3).
+        what: the figure that is compared.
+
+    Raises:
+        InputError: matplotlib is not installed.
+    """
+    require_matplotlib()
+    from matplotlib.figure import Figure
+
+    figure = Figure(figsize=(5.0, 3.6), layout="constrained")
+    axes = figure.subplots()
+    places = np.arange(len(trajectories))
+    for at, (name, curve) in enumerate(curves.items()):
+        ratio, low, high = curve.T
+        colour = _COLOURS[at]
+        axes.plot(places, ratio, _STYLES[at], marker=_MARKERS[at], color=colour, label=name)
+        axes.fill_between(places, low, high, color=colour, alpha=0.15, linewidth=0.0)
+    axes.axhline(1.0, color="0.4", linewidth=0.8, zorder=0)
+    axes.annotate("expert", (0.0, 1.0), (2, 2), textcoords="offset points", color="0.4", fontsize="small")
+    axes.set_xticks(places, [str(n) for n in trajectories])
+    axes.set_xlabel("demonstrated trajectories")
+    axes.set_ylabel(f"{what}, of the expert's")
+    axes.grid(alpha=0.3)
+    axes.spines[["top", "right"]].set_visible(False)
+    figure.legend(loc="outside upper center", ncols=2, frameon=False)
+    return figure
+
+
+def require_matplotlib() -> None:
+    """Raise InputError if there is nothing to plot with."""
+    if find_spec("matplotlib") is None:
+        raise InputError("plotting needs matplotlib; install it with: pip install 'rail-sumo[plots]'")
 
 
 def group_of(run: Path) -> Path:

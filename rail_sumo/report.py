@@ -23,7 +23,7 @@ DECIMALS = 6
 
 def episodes(rows: Iterable[dict[str, Any]]) -> pd.DataFrame:
     """Return the `episodes` table, a row per policy and episode, typed as `EPISODE_COLUMNS` says."""
-    return _typed(rows, EPISODE_COLUMNS)
+    return typed(rows, EPISODE_COLUMNS)
 
 
 def summary(episodes: pd.DataFrame) -> pd.DataFrame:
@@ -54,11 +54,11 @@ def summary(episodes: pd.DataFrame) -> pd.DataFrame:
                     "ratio_to_expert": _mean(values) / (_mean(reference) or np.nan),
                 }
             )
-    return _typed(rows, SUMMARY_COLUMNS)
+    return typed(rows, SUMMARY_COLUMNS)
 
 
-def write(episodes: pd.DataFrame, summary: pd.DataFrame, folder: Path, *, overwrite: bool = False) -> None:
-    """Write both tables into the folder, each as CSV and as Parquet with the same content.
+def write(folder: Path, *, overwrite: bool = False, **tables: pd.DataFrame) -> None:
+    """Write tables into the folder, each under its name as CSV and as Parquet with the same content.
 
     All or nothing; with `overwrite` the folder may exist, and other files in it are left alone.
 
@@ -66,7 +66,7 @@ def write(episodes: pd.DataFrame, summary: pd.DataFrame, folder: Path, *, overwr
         InputError: the folder exists, cannot be written to, or the disk is full.
     """
     with whole_folder(folder, overwrite=overwrite) as partial:
-        for name, table in {"episodes": episodes, "summary": summary}.items():
+        for name, table in tables.items():
             table.to_csv(partial / f"{name}.csv", index=False)
             table.to_parquet(partial / f"{name}.parquet", index=False)
 
@@ -101,7 +101,8 @@ def table(summary: pd.DataFrame) -> Table:
     return shown
 
 
-def _typed(rows: Iterable[dict[str, Any]], columns: dict[str, str]) -> pd.DataFrame:
+def typed(rows: Iterable[dict[str, Any]] | pd.DataFrame, columns: dict[str, str]) -> pd.DataFrame:
+    """Return a table with these columns of these types, its numbers rounded to `DECIMALS`."""
     table = pd.DataFrame(rows, columns=list(columns)).astype(columns).round(DECIMALS)
     return table.replace(-0.0, 0.0)
 

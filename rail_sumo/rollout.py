@@ -161,6 +161,10 @@ def workers(number: WorkerCount) -> Iterator[Workers]:
         signal.signal(signal.SIGINT, before)
     try:
         yield executor
+    except KeyboardInterrupt:
+        for process in multiprocessing.active_children():  # a task may take minutes, and nobody waits for it
+            process.terminate()
+        raise
     except BrokenProcessPool:
         raise InputError(
             "a worker process died: memory ran out, or SUMO crashed on this network or demand; "

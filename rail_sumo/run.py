@@ -167,7 +167,7 @@ def train(
         policies[report.EXPERT] = drivers.load_expert(config)
     episodes = config.train.evaluation_episodes
     tables = evaluate(policies, config, episodes=episodes, seed=seed, workers=workers, observer=observer)
-    report.write(*tables, out, overwrite=True)
+    report.write(out, episodes=tables[0], summary=tables[1], overwrite=True)
     return tables
 
 

@@ -27,8 +27,12 @@ def iqm(scores: ArrayLike) -> Floats:
 
 
 def ratio_of_iqms(scores: ArrayLike, reference: ArrayLike) -> Floats:
-    """Return the interquartile mean of the scores over that of a reference driven on the same traffic, shape (...)."""
-    return iqm(scores) / iqm(reference)
+    """Return the interquartile mean of the scores over that of a reference driven on the same traffic, shape (...).
+
+    Where the reference's is 0 there is no ratio: inf, or NaN.
+    """
+    with np.errstate(divide="ignore", invalid="ignore"):
+        return iqm(scores) / iqm(reference)
 
 
 def interval(
@@ -40,6 +44,8 @@ def interval(
 
     Trainings are drawn with replacement, and within each its episodes. Several scores are drawn together, episode by
     episode: they are of drivers on the same traffic. The same scores always give the same interval.
+
+    Where the statistic of a draw is not finite there is no interval: NaN.
 
     Args:
         statistic: of scores with any leading axes, such as `iqm`.
@@ -58,6 +64,8 @@ def interval(
     seeds = rng.integers(n_seeds, size=(n_resamples, n_seeds, 1))
     episodes = rng.integers(n_episodes, size=(n_resamples, n_seeds, n_episodes))
     drawn = statistic(*(array[seeds, episodes] for array in arrays))
+    if not np.isfinite(drawn).all():  # too often nothing to divide by
+        return np.nan, np.nan
     low, high = np.quantile(drawn, [(1 - CONFIDENCE) / 2, (1 + CONFIDENCE) / 2])
     return float(low), float(high)
 

@@ -76,12 +76,12 @@ def test_the_same_episodes_give_the_same_summary():
 def tables():
     speeds = [200 / 3, 70.123456789, 1e-7, 65.0]
     episodes = report.episodes(rows("runs/a b, c", speeds, min_ttc_s=np.inf) + rows("expert", speeds))
-    return episodes, report.summary(episodes)
+    return {"episodes": episodes, "summary": report.summary(episodes)}
 
 
 def test_csv_and_parquet_hold_the_same(tables, tmp_path):
-    report.write(*tables, tmp_path / "out")
-    for name, table, columns in zip(("episodes", "summary"), tables, (EPISODE_COLUMNS, SUMMARY_COLUMNS), strict=True):
+    report.write(tmp_path / "out", **tables)
+    for (name, table), columns in zip(tables.items(), (EPISODE_COLUMNS, SUMMARY_COLUMNS), strict=True):
         from_csv = pd.read_csv(tmp_path / "out" / f"{name}.csv", dtype=columns)
         from_parquet = pd.read_parquet(tmp_path / "out" / f"{name}.parquet")
         pd.testing.assert_frame_equal(from_csv, from_parquet, check_exact=True)
@@ -92,15 +92,15 @@ def test_csv_and_parquet_hold_the_same(tables, tmp_path):
 def test_an_existing_folder_is_refused_and_left_as_it_was(tables, tmp_path):
     (tmp_path / "out").mkdir()
     with pytest.raises(InputError, match="exists; choose another, or replace its tables with --overwrite"):
-        report.write(*tables, tmp_path / "out")
+        report.write(tmp_path / "out", **tables)
     assert list(tmp_path.rglob("*")) == [tmp_path / "out"]
 
 
 def test_overwriting_replaces_the_tables_and_nothing_else(tables, tmp_path):
-    report.write(*tables, tmp_path, overwrite=True)
+    report.write(tmp_path, **tables, overwrite=True)
     (tmp_path / "notes.txt").write_text("mine")
     episodes = report.episodes(rows("keep", [60.0]))
-    report.write(episodes, report.summary(episodes), tmp_path, overwrite=True)
+    report.write(tmp_path, episodes=episodes, summary=report.summary(episodes), overwrite=True)
     assert (tmp_path / "notes.txt").read_text() == "mine"
     assert set(pd.read_csv(tmp_path / "summary.csv")["policy"]) == {"keep"}
     assert len(list(tmp_path.iterdir())) == 5
@@ -109,7 +109,7 @@ def test_overwriting_replaces_the_tables_and_nothing_else(tables, tmp_path):
 def test_a_file_in_the_way_is_one_clear_line(tables, tmp_path):
     (tmp_path / "file").touch()
     with pytest.raises(InputError, match=r"cannot write to '.*out': '.*file' is not a writable folder"):
-        report.write(*tables, tmp_path / "file" / "out")
+        report.write(tmp_path / "file" / "out", **tables)
 
 
 @contextmanager
@@ -125,7 +125,7 @@ def full_disk():
 
 def test_a_full_disk_leaves_nothing_behind(tables, tmp_path):
     with full_disk(), pytest.raises(InputError, match=r"cannot write '.*out': File too large"):
-        report.write(*tables, tmp_path / "out")
+        report.write(tmp_path / "out", **tables)
     assert list(tmp_path.iterdir()) == []
 
 

@@ -326,5 +326,5 @@ def test_one_worker_and_two_give_the_same_tables_byte_for_byte(tmp_path):
     world = config.load(None, ["episode.duration_s=20.0"])
     for workers in (1, 2):
         tables = run.evaluate({"rule": "rule", "random": "random"}, world, episodes=2, seed=0, workers=workers)
-        run.report.write(*tables, tmp_path / str(workers))
+        run.report.write(tmp_path / str(workers), episodes=tables[0], summary=tables[1])
     assert contents(tmp_path / "1") == contents(tmp_path / "2")

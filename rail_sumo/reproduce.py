@@ -1,0 +1,310 @@
+"""The paper's experiments: every learner trained on several seeds, their Table 1, and Figures 3 and 4.
+
+An experiment is a grid of cells. A cell is one training, or one driver that does not train, evaluated on the held-out
+traffic of its seed; its folder is a run directory like any other, so that an experiment which is interrupted goes on
+with the cell, and the iteration, that it was at.
+"""
+
+import itertools
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pandas as pd
+
+from rail_sumo import plot, report, rollout, run, training
+from rail_sumo.config import Config, dumps, load
+from rail_sumo.errors import InputError
+from rail_sumo.files import whole_file
+from rail_sumo.records import EPISODE_COLUMNS, Floats
+from rail_sumo.rollout import SILENT, Observer, WorkerCount
+from rail_sumo.run_directory import CONFIG
+from rail_sumo.statistics import interval, iqm, probability_of_improvement, ratio_of_iqms
+
+TRAJECTORIES = (1, 5, 10, 20, 40)
+METRICS = ("speed_kmh", "overtakes", "lane_changes", "longitudinal_reward", "lateral_reward")
+
+PAPER = {
+    ("rail", 2): (70.38, 45.04, 15.01, 2719.38, -122.98),
+    ("rail", 1): (65.00, 40.03, 13.05, 2495.57, -175.6),
+    ("expert", 0): (68.83, 44.48, 14.04, 2642.11, -132.52),
+}
+"""Table 1 of the paper, by learner and layers, in the order of `METRICS`."""
+
+TABLE1 = (("rail", 2), ("rail", 1), ("bc", 2), ("gail", 2), ("dagger", 2), ("rule", 0), ("sumo", 0))
+"""Rows beside the expert's: who drives, and on how many layers; 0 for drivers that do not learn."""
+
+FIGURES = (("rail", 2), ("rail", 1), ("bc", 2), ("gail", 2))
+"""The curves of Figures 3 and 4."""
+
+QUICK = {"rail": 40, "gail": 40, "bc": 0, "dagger": 4}
+"""Iterations of an experiment that is to show its shape within minutes."""
+
+CELL_COLUMNS = {"learner": "string", "layers": "int64", "trajectories": "int64", "training_seed": "int64"} | {
+    name: kind for name, kind in EPISODE_COLUMNS.items() if name != "policy"
+}
+TABLE_COLUMNS = {
+    "learner": "string",
+    "layers": "int64",
+    "metric": "string",
+    "mean": "float64",
+    "iqm": "float64",
+    "low": "float64",
+    "high": "float64",
+    "ratio": "float64",
+    "ratio_low": "float64",
+    "ratio_high": "float64",
+    "above_expert": "float64",
+    "paper": "float64",
+    "paper_ratio": "float64",
+}
+
+
+@dataclass(frozen=True)
+class Cell:
+    """One training, or one driver that does not train, and its held-out episodes."""
+
+    learner: str
+    layers: int
+    trajectories: int
+    seed: int
+
+    @property
+    def name(self) -> str:
+        """Its folder's."""
+        trained = f"-{self.layers}-layer-{self.trajectories}" if self.layers else ""
+        return f"{self.learner}{trained}-seed{self.seed}"
+
+
+@dataclass(frozen=True)
+class _Work:
+    cell: Cell
+    config: Config
+    folder: Path
+
+
+def table1(
+    config: Config,
+    out: Path,
+    *,
+    seeds: int,
+    quick: bool = False,
+    workers: WorkerCount = 1,
+    observer: Observer = SILENT,
+) -> pd.DataFrame:
+    """Train and drive all that Table 1 sets side by side, and write `cells`, `table1.csv` and `table1.md` into `out`.
+
+    Args:
+        config: of every training; learner, layers and number of trajectories are the cell's.
+        out: may hold some of it already, of the same configuration.
+        seeds: trainings of each learner, with seeds from 0.
+        quick: for a first look: fewer iterations.
+        workers: how many cells at once, each in a process of its own.
+        observer: is told of every cell.
+
+    Returns:
+        A row per learner and metric: `TABLE_COLUMNS`.
+
+    Raises:
+        InputError: as in `run.train`; `out` holds another experiment.
+    """
+    grid = [(learner, layers, config.train.trajectories if layers else 0) for learner, layers in TABLE1]
+    cells = _drive(config, out, [*grid, (report.EXPERT, 0, 0)], seeds, quick, workers, observer)
+    table = compare(cells)
+    with whole_file(out / "table1.csv") as partial:
+        table.to_csv(partial, index=False)
+    with whole_file(out / "table1.md") as partial:
+        partial.write_text(_markdown(table), encoding="utf-8")
+    return table
+
+
+def compare(cells: pd.DataFrame) -> pd.DataFrame:
+    """Return each learner's figures over its seeds and episodes, beside the expert's on the same traffic.
+
+    `low` and `high` are the 95 % interval of the interquartile mean over seeds and episodes, `ratio` is that mean over
+    the expert's, `above_expert` the probability that an episode of the learner has a greater value than one of the
+    expert.
+    """
+    expert = cells[cells["learner"] == report.EXPERT]
+    rows: list[dict[str, Any]] = []
+    for (learner, layers), driven in cells.groupby(["learner", "layers"], sort=False):
+        for metric in METRICS:
+            scores, reference = _scores(driven, metric), _scores(expert, metric)
+            low, high = interval(iqm, scores)
+            ratio, ratio_low, ratio_high = _against(driven, expert, metric)
+            at = METRICS.index(metric)
+            paper = PAPER[learner, layers][at] if (learner, layers) in PAPER else np.nan
+            rows.append({
+                "learner": learner,
+                "layers": layers,
+                "metric": metric,
+                "mean": scores.mean(),
+                "iqm": iqm(scores),
+                "low": low,
+                "high": high,
+                "ratio": ratio,
+                "ratio_low": ratio_low,
+                "ratio_high": ratio_high,
+                "above_expert": probability_of_improvement(scores, reference),
+                "paper": paper,
+                "paper_ratio": paper / PAPER[report.EXPERT, 0][at],
+            })  # fmt: skip
+    return report.typed(rows, TABLE_COLUMNS)
+
+
+def figures(
+    config: Config,
+    out: Path,
+    *,
+    seeds: int,
+    quick: bool = False,
+    workers: WorkerCount = 1,
+    observer: Observer = SILENT,
+) -> pd.DataFrame:
+    """Train and drive all that Figures 3 and 4 compare, and write `cells` and the five figures into `out`.
+
+    The arguments and errors are those of `table1`, whose cells it takes over where they are in `out` already.
+
+    Returns:
+        The cells' episodes: `CELL_COLUMNS`.
+    """
+    plot.require_matplotlib()
+    grid = [(*system, trajectories) for system, trajectories in itertools.product(FIGURES, TRAJECTORIES)]
+    cells = _drive(config, out, [*grid, (report.EXPERT, 0, 0)], seeds, quick, workers, observer)
+    expert = cells[cells["learner"] == report.EXPERT]
+    for metric in METRICS:
+        curves = {
+            _NAMES[system]: np.array([_against(_of(cells, *system, n), expert, metric) for n in TRAJECTORIES])
+            for system in FIGURES
+        }
+        figure = plot.against_trajectories(TRAJECTORIES, curves, _LABELS[metric])
+        for suffix in (".png", ".svg"):
+            name = metric.removesuffix("_kmh").removesuffix("_reward")
+            plot.save(figure, out / f"figure_{name}{suffix}", overwrite=True)
+    return cells
+
+
+def _drive(
+    config: Config,
+    out: Path,
+    grid: Sequence[tuple[str, int, int]],
+    seeds: int,
+    quick: bool,
+    workers: WorkerCount,
+    observer: Observer,
+) -> pd.DataFrame:
+    """Bring every cell to its end and return their episodes, in the grid's order."""
+    if seeds < 1:
+        raise InputError(f"--seeds must be at least 1; got {seeds}")
+    run.require_drivable(config, config.train.evaluation_episodes)
+    cells = [Cell(*what, seed) for seed in range(seeds) for what in grid]
+    work = [_Work(cell, _world(cell, config, quick), out / "cells" / cell.name) for cell in cells]
+    observer.start("cells", len(cells))
+    driven = []
+    with rollout.workers(workers) as pool:
+        for episodes in pool.map(_finish, work):
+            driven.append(episodes)
+            observer.advance({})
+    table = report.typed(pd.concat(driven, ignore_index=True), CELL_COLUMNS)
+    report.write(out, cells=table, overwrite=True)
+    return table
+
+
+def _world(cell: Cell, config: Config, quick: bool) -> Config:
+    """Return the configuration that a cell is trained and driven with."""
+    if not cell.layers:
+        return config
+    iterations = QUICK[cell.learner] if quick else config.train.iterations
+    changed = {
+        "learner": cell.learner,
+        "trajectories": cell.trajectories,
+        "iterations": "default" if cell.learner == "bc" else iterations,
+    }
+    return config.model_copy(
+        update={
+            "policy": config.policy.model_copy(update={"layers": cell.layers}),
+            "train": config.train.model_copy(update=changed),
+        }
+    )
+
+
+def _finish(work: _Work) -> pd.DataFrame:
+    """Bring a cell to its end, wherever it stands, and return its episodes; runs in a process of its own."""
+    cell, folder, world = work.cell, work.folder, work.config
+    driven = folder / "episodes.parquet"
+    if not (driven.is_file() and load(folder / CONFIG) == world):
+        driven.unlink(missing_ok=True)  # of fewer iterations: they would pass for the new ones after an interruption
+        if cell.layers:
+            started = training.learn(world, folder, seed=cell.seed, resume=folder.exists())
+            driver: run.Driver = started.policy(world)
+        else:
+            driver = run.find_driver(cell.learner, world)
+            with whole_file(folder / CONFIG) as partial:
+                partial.write_text(dumps(world), encoding="utf-8")
+        n_episodes = world.train.evaluation_episodes
+        episodes, summary = run.evaluate({cell.learner: driver}, world, episodes=n_episodes, seed=cell.seed)
+        report.write(folder, episodes=episodes, summary=summary, overwrite=True)
+    return pd.read_parquet(driven).assign(
+        learner=cell.learner, layers=cell.layers, trajectories=cell.trajectories, training_seed=cell.seed
+    )
+
+
+def _of(cells: pd.DataFrame, learner: str, layers: int, trajectories: int) -> pd.DataFrame:
+    same = (cells["learner"] == learner) & (cells["layers"] == layers) & (cells["trajectories"] == trajectories)
+    return cells[same]
+
+
+def _scores(driven: pd.DataFrame, metric: str) -> Floats:
+    """Return a metric as `statistics` takes it, shape (n_seeds, n_episodes)."""
+    return driven.pivot(index="training_seed", columns="episode", values=metric).to_numpy(dtype=np.float64)
+
+
+def _against(driven: pd.DataFrame, expert: pd.DataFrame, metric: str) -> tuple[float, float, float]:
+    """Return the ratio of interquartile means to the expert's, and its 95 % interval."""
+    scores, reference = _scores(driven, metric), _scores(expert, metric)
+    return float(ratio_of_iqms(scores, reference)), *interval(ratio_of_iqms, scores, reference)
+
+
+_NAMES = {
+    ("rail", 2): "RAIL, two layers",
+    ("rail", 1): "RAIL, one layer",
+    ("expert", 0): "expert",
+    ("bc", 2): "behaviour cloning",
+    ("gail", 2): "GAIL",
+    ("dagger", 2): "DAgger",
+    ("rule", 0): "rule driver",
+    ("sumo", 0): "SUMO's driver",
+}
+_LABELS = {
+    "speed_kmh": "speed",
+    "overtakes": "overtakes",
+    "lane_changes": "lane changes",
+    "longitudinal_reward": "longitudinal reward",
+    "lateral_reward": "lateral reward",
+}
+
+
+def _markdown(table: pd.DataFrame) -> str:
+    """Return the means, the ratios to the expert with their intervals, and the paper's beside them."""
+    lines = [_line("", _LABELS.values()), "| --- |" + " ---: |" * len(METRICS)]
+    for (learner, layers), rows in table.groupby(["learner", "layers"], sort=False):
+        system, by_metric = (learner, layers), rows.set_index("metric").loc[list(METRICS)]
+        lines.append(_line(_NAMES[system], map("{:.1f}".format, by_metric["mean"])))
+        ratios = [_ratio(*row) for row in by_metric[["ratio", "ratio_low", "ratio_high"]].to_numpy()]
+        if learner != report.EXPERT:
+            lines.append(_line("&emsp;of the expert's", ratios))
+        if system in PAPER:
+            lines.append(_line("&emsp;in the paper", map("{:.1f}".format, by_metric["paper"])))
+        if system in PAPER and learner != report.EXPERT:
+            lines.append(_line("&emsp;in the paper, of the expert's", map("{:.3f}".format, by_metric["paper_ratio"])))
+    return "\n".join(lines) + "\n"
+
+
+def _line(head: str, cells: Iterable[str]) -> str:
+    return f"| {head} | " + " | ".join(cells) + " |"
+
+
+def _ratio(ratio: float, low: float, high: float) -> str:
+    return f"{ratio:.3f}" + (f" ({low:.3f} to {high:.3f})" if np.isfinite([low, high]).all() else "")

@@ -1,0 +1,192 @@
+"""The paper's experiments, on cells whose episodes are made up."""
+
+import numpy as np
+import pandas as pd
+import pytest
+
+from rail_sumo import config, plot, reproduce, run, training
+from rail_sumo.errors import InputError
+from rail_sumo.rollout import LearnedDriver
+from rail_sumo.run_directory import RunDirectory
+
+N_EPISODES = 4
+
+
+@pytest.fixture
+def world():
+    return config.load(None, [f"train.evaluation_episodes={N_EPISODES}", "cloning.epochs=0", "train.iterations=5"])
+
+
+@pytest.fixture
+def done(monkeypatch):
+    """What was trained and driven; learned drivers are known by their layers and demonstrations."""
+    done = []
+
+    def learn(world, folder, *, seed, resume):
+        done.append(("learn", folder.name, world.train.learner, world.train.n_iterations, resume))
+        if resume:
+            RunDirectory(folder).go_on(world, seed, {})
+            return RunDirectory(folder)
+        demonstrations = training._demonstrations(world)
+        return RunDirectory.create(folder, world, seed, {}, training._start(world, demonstrations, seed))
+
+    def evaluate(policies, world, *, episodes, seed):
+        ((name, driver),) = policies.items()
+        done.append(("evaluate", name, seed))
+        speed = {"rule": 65.0, "sumo": 63.0, "expert": 70.0}.get(name)
+        if isinstance(driver, LearnedDriver):
+            speed = 60.0 + 2.0 * world.policy.layers + 0.1 * world.train.trajectories
+        rows = [{**ROW, "policy": name, "episode": i, "seed": 100 * seed + i, "speed_kmh": speed + i} for i in range(4)]
+        table = run.report.episodes(rows)
+        return table, run.report.summary(table)
+
+    monkeypatch.setattr(training, "learn", learn)
+    monkeypatch.setattr(run, "evaluate", evaluate)
+    return done
+
+
+ROW = {
+    column: "highway5" if kind == "string" else 1 if kind == "int64" else 1.0
+    for column, kind in run.report.EPISODE_COLUMNS.items()
+}
+
+
+def test_every_row_of_the_table_is_there_beside_the_papers(world, done, tmp_path):
+    table = reproduce.table1(world, tmp_path, seeds=2)
+    assert list(table.columns) == list(reproduce.TABLE_COLUMNS)
+    systems = list(dict.fromkeys(zip(table["learner"], table["layers"], strict=True)))
+    assert systems == [*reproduce.TABLE1, ("expert", 0)]
+    speeds = table[table["metric"] == "speed_kmh"].set_index(["learner", "layers"])
+    assert speeds.loc[("rail", 2), "mean"] == 60 + 4 + 4 + 1.5
+    assert speeds.loc[("rail", 1), "mean"] == 60 + 2 + 4 + 1.5
+    assert speeds.loc[("rail", 2), "ratio"] == pytest.approx(69.5 / 71.5, abs=1e-6)
+    assert speeds.loc[("expert", 0), ["ratio", "ratio_low", "ratio_high"]].tolist() == [1.0, 1.0, 1.0]
+    assert speeds.loc[("expert", 0), "above_expert"] == 0.5
+    assert speeds.loc[("rail", 2), ["paper", "paper_ratio"]].tolist() == [70.38, pytest.approx(1.022519, abs=1e-6)]
+    assert np.isnan(speeds.loc[("gail", 2), "paper"])
+    pd.testing.assert_frame_equal(table, pd.read_csv(tmp_path / "table1.csv", dtype=reproduce.TABLE_COLUMNS))
+    markdown = (tmp_path / "table1.md").read_text()
+    assert "| RAIL, two layers | 69.5 | 1.0 | 1.0 | 1.0 | 1.0 |" in markdown
+    assert "| &emsp;in the paper | 70.4 | 45.0 | 15.0 | 2719.4 | -123.0 |" in markdown
+
+
+def test_the_cells_are_tidy_and_the_same_in_both_files(world, done, tmp_path):
+    reproduce.table1(world, tmp_path, seeds=2)
+    cells = pd.read_parquet(tmp_path / "cells.parquet")
+    assert list(cells.columns) == list(reproduce.CELL_COLUMNS)
+    assert len(cells) == 2 * (len(reproduce.TABLE1) + 1) * N_EPISODES
+    assert not cells.duplicated(["learner", "layers", "trajectories", "training_seed", "episode"]).any()
+    drivers = cells[cells["learner"].isin(["rule", "sumo", "expert"])]
+    assert (drivers[["layers", "trajectories"]] == 0).all(axis=None)
+    from_csv = pd.read_csv(tmp_path / "cells.csv", dtype=reproduce.CELL_COLUMNS)
+    pd.testing.assert_frame_equal(cells, from_csv)
+
+
+def test_the_experts_episodes_are_on_the_traffic_of_every_seed(world, done, tmp_path):
+    reproduce.table1(world, tmp_path, seeds=3)
+    cells = pd.read_parquet(tmp_path / "cells.parquet")
+    traffic = cells.groupby(["training_seed", "episode"])["seed"].nunique()
+    assert (traffic == 1).all()
+    assert cells["seed"].nunique() == 3 * N_EPISODES
+
+
+def test_interrupted_at_any_cell_it_goes_on_to_the_same_bytes(world, done, tmp_path, monkeypatch):
+    reproduce.table1(world, tmp_path / "whole", seeds=1)
+    evaluate = run.evaluate
+    for n_cells in range(len(reproduce.TABLE1) + 1):
+        left = iter(range(n_cells))
+
+        def evaluate_or_stop(*arguments, left=left, **named):
+            if next(left, None) is None:
+                raise KeyboardInterrupt
+            return evaluate(*arguments, **named)
+
+        out = tmp_path / f"interrupted-{n_cells}"
+        with monkeypatch.context() as patched:
+            patched.setattr(run, "evaluate", evaluate_or_stop)
+            with pytest.raises(KeyboardInterrupt):
+                reproduce.table1(world, out, seeds=1)
+        done.clear()
+        reproduce.table1(world, out, seeds=1)
+        assert sum(event[0] == "evaluate" for event in done) == len(reproduce.TABLE1) + 1 - n_cells
+        for file in ("cells.csv", "cells.parquet", "table1.csv", "table1.md"):
+            assert (out / file).read_bytes() == (tmp_path / "whole" / file).read_bytes()
+
+
+def test_what_was_quick_goes_on_to_the_whole_and_not_back(world, done, tmp_path):
+    whole = world.model_copy(update={"train": world.train.model_copy(update={"iterations": "default"})})
+    reproduce.table1(whole, tmp_path, seeds=1, quick=True)
+    quick = {event[2]: event[3:] for event in done if event[0] == "learn"}
+    assert quick == {learner: (n, False) for learner, n in reproduce.QUICK.items()}
+    done.clear()
+    reproduce.table1(whole, tmp_path, seeds=1)
+    resumed = {event[2]: event[3:] for event in done if event[0] == "learn"}
+    assert resumed == {"rail": (160, True), "gail": (160, True), "dagger": (20, True)}  # a clone is a clone
+
+
+def test_another_configuration_is_refused(world, done, tmp_path):
+    reproduce.table1(world, tmp_path, seeds=1)
+    before = {path: path.read_bytes() for path in tmp_path.rglob("*") if path.is_file() and "episodes" not in path.name}
+    other = world.model_copy(update={"search": world.search.model_copy(update={"noise_std": 0.5})})
+    with pytest.raises(InputError, match=r"was started with search\.noise_std = .*, not 0\.5"):
+        reproduce.table1(other, tmp_path, seeds=1)
+    assert {path: path.read_bytes() for path in before} == before
+
+
+def test_no_seed_is_refused_before_any_work(world, done, tmp_path):
+    with pytest.raises(InputError, match="--seeds must be at least 1; got 0"):
+        reproduce.table1(world, tmp_path / "out", seeds=0)
+    assert done == []
+    assert not (tmp_path / "out").exists()
+
+
+def test_the_figures_show_ratios_against_demonstrated_trajectories(world, done, tmp_path, monkeypatch):
+    drawn = {}
+
+    def note(trajectories, curves, what):
+        drawn[what] = curves
+        return figure(trajectories, curves, what)
+
+    figure = plot.against_trajectories
+    monkeypatch.setattr(plot, "against_trajectories", note)
+    cells = reproduce.figures(world, tmp_path, seeds=2)
+    assert len(cells) == 2 * (4 * 5 + 1) * N_EPISODES
+    assert list(drawn) == ["speed", "overtakes", "lane changes", "longitudinal reward", "lateral reward"]
+    np.testing.assert_allclose(
+        drawn["speed"]["RAIL, one layer"][:, 0], [(62 + 0.1 * n + 1.5) / 71.5 for n in reproduce.TRAJECTORIES]
+    )
+    names = ("speed", "lane_changes", "overtakes", "longitudinal", "lateral")
+    for name in names:
+        assert (tmp_path / f"figure_{name}.png").read_bytes().startswith(b"\x89PNG")
+        assert b"demonstrated trajectories" in (tmp_path / f"figure_{name}.svg").read_bytes()
+
+
+def test_table_and_figures_share_their_cells(world, done, tmp_path):
+    reproduce.table1(world, tmp_path, seeds=1)
+    done.clear()
+    reproduce.figures(world, tmp_path, seeds=1)
+    learned = [event[1] for event in done if event[0] == "learn"]
+    assert len(learned) == 4 * 5 - 4
+    assert "rail-2-layer-40-seed0" not in learned
+
+
+@pytest.mark.slow
+def test_with_two_workers_it_gives_the_same_bytes_as_with_one(tmp_path):
+    small = config.load(
+        None,
+        [
+            "cloning.epochs=1",
+            "search.n_directions=2",
+            "gail.rollouts=2",
+            "dagger.rollouts=1",
+            "judge.minibatches=2",
+            "train.iterations=1",
+            "train.horizon_s=10.0",
+            "train.evaluation_episodes=2",
+            "episode.duration_s=10.0",
+        ],
+    )
+    for workers in (1, 2):
+        reproduce.table1(small, tmp_path / str(workers), seeds=1, workers=workers)
+    for file in ("cells.parquet", "table1.csv"):
+        assert (tmp_path / "1" / file).read_bytes() == (tmp_path / "2" / file).read_bytes()
