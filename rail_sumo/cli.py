@@ -16,7 +16,7 @@ from rich.console import Console
 from rich.markup import escape
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TaskID, TextColumn, TimeRemainingColumn
 
-from rail_sumo import config, files
+from rail_sumo import assets, config, files
 from rail_sumo.errors import InputError
 
 if TYPE_CHECKING:
@@ -34,7 +34,10 @@ network = typer.Typer(help="Look at networks before driving on them.", no_args_i
 app.add_typer(expert, name="expert")
 app.add_typer(network, name="network")
 
-ConfigFile = Annotated[Path | None, typer.Argument(metavar="CONFIG.toml", help="Without one, all defaults.")]
+ConfigFile = Annotated[
+    str | None,
+    typer.Argument(metavar="CONFIG", help="A .toml, or `paper` for the printed algorithm. Without one, all defaults."),
+]
 Overrides = Annotated[
     list[str] | None, typer.Option("--set", metavar="SECTION.KEY=VALUE", help="Change one key; repeatable.")
 ]
@@ -67,12 +70,12 @@ def train(
     from rail_sumo import run
     from rail_sumo.run_directory import CONFIG, RunDirectory
 
-    out = out or Path("runs", f"{config_file.stem if config_file else 'default'}-seed{seed or 0}")
+    out = out or Path("runs", f"{Path(config_file).stem if config_file else 'default'}-seed{seed or 0}")
     if resume:  # as it was started, where nothing else is said
         started = RunDirectory(out)
-        config_file = config_file or out / CONFIG
+        config_file = config_file or str(out / CONFIG)
         seed = started.seed if seed is None else seed
-    chosen = config.load(config_file, overrides or ())
+    chosen = _configuration(config_file, overrides)
     n_workers = _workers(workers)
     try:
         with _bars() as observer:
@@ -141,7 +144,7 @@ def reproduce(
     """Repeat the paper's experiments; what is in the folder already is not done again."""
     from rail_sumo import reproduce
 
-    chosen = config.load(config_file, overrides or ())
+    chosen = _configuration(config_file, overrides)
     run = reproduce.table1 if experiment == "table1" else reproduce.figures
     n_seeds = (2 if quick else 10) if seeds is None else seeds
     n_workers = _workers(workers)
@@ -171,7 +174,7 @@ def train_expert(
     n_workers = _workers(workers)
     with _bars() as observer:
         tables = expert.train(
-            config.load(config_file, overrides or ()), out, seed=seed, workers=n_workers, observer=observer
+            _configuration(config_file, overrides), out, seed=seed, workers=n_workers, observer=observer
         )
     _show(tables, out)
 
@@ -190,7 +193,7 @@ def record(
     """Record what a driver sees and decides, for `train.demonstrations` to learn from."""
     from rail_sumo import run
 
-    world = config.load(config_file, overrides or ())
+    world = _configuration(config_file, overrides)
     n_workers = _workers(workers)
     with _bars() as observer:
         demonstrations = run.demonstrate(
@@ -225,11 +228,14 @@ def check(
 @network.command("list")
 def list_networks() -> None:
     """List the networks that come with rail-sumo."""
-    from rail_sumo import assets
     from rail_sumo.highway import road
 
     for name in assets.network_names():
         print(_describe(road.load(name)))
+
+
+def _configuration(name_or_path: str | None, overrides: list[str] | None) -> config.Config:
+    return config.load(assets.configuration(name_or_path) if name_or_path else None, overrides or ())
 
 
 def _world(network: str | None, routes: list[str] | None, overrides: list[str] | None) -> list[str]:

@@ -145,9 +145,12 @@ class Search(_Section):
     n_top: Count | Literal["all"] = "all"
     """Only the best so many directions count, by the better return of either way."""
     step_size: Positive = 0.05
-    noise_std: Positive = 0.05
+    noise_std: Positive = 0.1
+    """Smaller, and what a perturbation changes drowns in what traffic does; larger, and it is another driver."""
     step_decay: Annotated[float, Field(gt=0.0, le=1.0)] = 0.99
     """The step size shrinks by this factor every iteration; 1 keeps it."""
+    averaging: Annotated[float, Field(ge=0.0, lt=1.0)] = 0.96
+    """The learned policy is a running average of the search's: how much the past weighs in it; 0 takes the last."""
 
     @property
     def kept(self) -> int:

@@ -17,7 +17,7 @@ import pandas as pd
 from rail_sumo import plot, report, rollout, run, training
 from rail_sumo.config import Config, dumps, load
 from rail_sumo.errors import InputError
-from rail_sumo.files import whole_file
+from rail_sumo.files import check_folder, whole_file
 from rail_sumo.records import EPISODE_COLUMNS, Floats
 from rail_sumo.rollout import SILENT, Observer, WorkerCount
 from rail_sumo.run_directory import CONFIG
@@ -198,6 +198,7 @@ def _drive(
     """Bring every cell to its end and return their episodes, in the grid's order."""
     if seeds < 1:
         raise InputError(f"--seeds must be at least 1; got {seeds}")
+    check_folder(out, overwrite=True)
     run.require_drivable(config, config.train.evaluation_episodes)
     cells = [Cell(*what, seed) for seed in range(seeds) for what in grid]
     work = [_Work(cell, _world(cell, config, quick), out / "cells" / cell.name) for cell in cells]

@@ -3,10 +3,10 @@
 import itertools
 import math
 import time
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -25,8 +25,10 @@ from rail_sumo.run_directory import JUDGES, Checkpoint, Row, RunDirectory, Tenso
 if TYPE_CHECKING:  # torch takes seconds to import, and not every command trains
     from rail_sumo.imitation.discriminator import Judge, JudgeLoss
 
-PPO = "ppo."
-"""What the names of PPO's tensors begin with in a checkpoint."""
+THETA = "theta_now"
+"""The name in a checkpoint of where the search is; what has been learned is an average over where it was."""
+PPO, MOMENTS = "ppo.", "moments."
+"""What the names of PPO's tensors, and of the observations' moments, begin with in a checkpoint."""
 
 
 @dataclass(frozen=True)
@@ -114,8 +116,9 @@ def _rail(practice: Practice, checkpoint: Checkpoint, demonstrations: Demonstrat
 
     run, start = practice.run, checkpoint.learned
     judge = _judge(run, checkpoint.memory)
+    average = start.theta
     for state in rail.train(
-        start.theta,
+        checkpoint.memory.get(THETA, start.theta),
         demonstrations,
         search=run.config.search,
         judge=judge,
@@ -126,8 +129,10 @@ def _rail(practice: Practice, checkpoint: Checkpoint, demonstrations: Demonstrat
         first_iteration=checkpoint.iteration + 1,
     ):
         driven = [*state.plus, *state.minus]
+        average = _averaged(average, state.theta, run.config.search.averaging, state.iteration)
+        memory = {THETA: state.theta} | _named(JUDGES, judge.state())
         figures = _verdict(state.judge_loss, judge.returns(driven)) | {"step_norm": state.step_norm}
-        yield Iteration(replace(start, theta=state.theta), _named(JUDGES, judge.state()), driven, figures)
+        yield Iteration(replace(start, theta=average), memory, driven, figures)
 
 
 def _gail(practice: Practice, checkpoint: Checkpoint, demonstrations: Demonstrations) -> Iterator[Iteration]:
@@ -180,9 +185,10 @@ def _ars(practice: Practice, checkpoint: Checkpoint, demonstrations: Demonstrati
     from rail_sumo.imitation import ars
 
     run, start = practice.run, checkpoint.learned
+    average, moments = start.theta, _part(MOMENTS, checkpoint.memory)
     for state in ars.train(
-        start.theta,
-        ars.Moments(**checkpoint.memory) if checkpoint.memory else ars.Moments.none(start.shape.n_features),
+        checkpoint.memory.get(THETA, start.theta),
+        ars.Moments(**moments) if moments else ars.Moments.none(start.shape.n_features),
         search=run.config.search,
         whiten=run.config.ars.whitening,
         evaluate=lambda theta, whitening, perturbations, number: practice.pairs(
@@ -192,9 +198,11 @@ def _ars(practice: Practice, checkpoint: Checkpoint, demonstrations: Demonstrati
         seed=run.seed,
         first_iteration=checkpoint.iteration + 1,
     ):
-        learned = replace(start, theta=state.theta, whitening=state.whitening)
+        average = _averaged(average, state.theta, run.config.search.averaging, state.iteration)
+        learned = replace(start, theta=average, whitening=state.whitening)
+        memory = {THETA: state.theta} | _named(MOMENTS, vars(state.moments))
         figures = {"mean_return": state.mean_return, "step_norm": state.step_norm}
-        yield Iteration(learned, dict(vars(state.moments)), state.driven, figures)
+        yield Iteration(learned, memory, state.driven, figures)
 
 
 def _cloning(practice: Practice, checkpoint: Checkpoint, demonstrations: Demonstrations) -> Iterator[Iteration]:
@@ -234,6 +242,11 @@ def _judge(run: RunDirectory, memory: Tensors) -> "Judge":
     return judge
 
 
+def _averaged(average: Floats, theta: Floats, averaging: float, iteration: int) -> Floats:
+    """Return theta's running average after an iteration, the clone left out (weights as Adam corrects its moments')."""
+    return average + (1.0 - averaging) / (1.0 - averaging**iteration) * (theta - average)
+
+
 def _verdict(loss: "JudgeLoss", returns: Floats) -> dict[str, float]:
     return {
         "mean_return": float(returns.mean()),
@@ -243,7 +256,7 @@ def _verdict(loss: "JudgeLoss", returns: Floats) -> dict[str, float]:
     }
 
 
-def _named(prefix: str, tensors: Tensors) -> Tensors:
+def _named(prefix: str, tensors: Mapping[str, NDArray[Any]]) -> Tensors:
     return {prefix + name: tensor for name, tensor in tensors.items()}
 
 

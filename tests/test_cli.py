@@ -56,7 +56,12 @@ def lay_out(folder):
 DRIVERS = "(available: expert, keep, random, rule, sumo)"
 
 BAD = {
-    "train none.toml": "cannot read configuration 'none.toml': No such file or directory",
+    "train none.toml": "configuration file 'none.toml' does not exist (current folder: ",
+    "train papper": "configuration 'papper' is neither a file nor shipped; did you mean 'paper'? (available: paper)",
+    "train --set train.learner=sac": "configuration: train.learner: Input should be 'rail', 'gail', 'bc', 'dagger' or ",
+    "train --set train.learner=bc --set train.iterations=3": "configuration: train: learner 'bc' has no iterations, ",
+    "reproduce table1 --seeds 0": "--seeds must be at least 1; got 0",
+    "reproduce table1 --out file/out": "cannot write to 'file/out': '",
     "train no.toml": "configuration 'no.toml' is not valid TOML: ",
     "train --set search.noise=1": "configuration: unknown key 'search.noise'; did you mean 'search.noise_std'? (",
     "train --set traffic.vehicles=many": "configuration: traffic.vehicles: Input should be a valid integer, got 'many'",

@@ -17,6 +17,7 @@ from rail_sumo.errors import InputError
 from rail_sumo.imitation.demonstrations import Demonstrations
 from rail_sumo.records import Trajectory
 from rail_sumo.run_directory import CHECKPOINT, CLONE, JUDGE, POLICY, PROGRESS, PROGRESS_COLUMNS, RunDirectory
+from rail_sumo.training import THETA
 
 N_FEATURES = 8
 
@@ -202,6 +203,23 @@ def test_every_policy_is_evaluated_on_the_same_traffic(driven):
     assert list(more["seed"][:3]) == list(keep["seed"])
 
 
+@pytest.mark.parametrize("learner", ["rail", "ars"])
+@pytest.mark.parametrize("averaging", [0.0, 0.5, 0.9])
+def test_what_is_learned_is_a_running_average_of_the_search_without_the_clone(
+    small, driven, tmp_path, monkeypatch, learner, averaging
+):
+    thetas = []
+    save = RunDirectory.save
+    monkeypatch.setattr(RunDirectory, "save", lambda run, at: thetas.append(at.memory.get(THETA)) or save(run, at))
+    changed = {"search": {"averaging": averaging}, "train": {"learner": learner}}
+    sections = {name: getattr(small, name).model_copy(update=update) for name, update in changed.items()}
+    run.train(small.model_copy(update=sections), tmp_path / "run", seed=1)
+    weights = averaging ** np.arange(2.0, -1.0, -1.0)
+    learned = load_file(tmp_path / "run" / POLICY)["theta"]
+    np.testing.assert_allclose(learned, np.average(thetas[1:], axis=0, weights=weights))
+    assert np.ptp(thetas[1:], axis=0).max() > 0.0
+
+
 def test_demonstrations_are_what_was_seen_and_decided(driven, tmp_path):
     world = config.load(None, SMALL)
     recorded = run.demonstrate("rule", world, tmp_path / "new" / "rule.parquet", episodes=2, seed=5)
@@ -226,7 +244,7 @@ def test_resuming_with_another_seed_is_refused(small, trained):
 
 def test_resuming_with_another_configuration_names_the_key(small, trained):
     other = small.model_copy(update={"search": small.search.model_copy(update={"noise_std": 0.5})})
-    with pytest.raises(InputError, match=r"was started with search.noise_std = 0.05, not 0.5"):
+    with pytest.raises(InputError, match=r"was started with search.noise_std = 0.1, not 0.5"):
         run.train(other, trained, seed=1, resume=True)
 
 
