@@ -54,7 +54,7 @@ def learn(
     run = RunDirectory(out) if resume else None
     if run is None:
         require_new(out)
-    demonstrations = _demonstrations(config)
+    demonstrations = demonstrations_of(config)
     inputs = _inputs(config)
     if run is None:
         run = RunDirectory.create(out, config, seed, inputs, _start(config, demonstrations, seed))
@@ -115,7 +115,7 @@ def _rail(practice: Practice, checkpoint: Checkpoint, demonstrations: Demonstrat
     from rail_sumo.imitation import rail
 
     run, start = practice.run, checkpoint.learned
-    judge = _judge(run, checkpoint.memory)
+    judge = judge_of(run)
     average = start.theta
     for state in rail.train(
         checkpoint.memory.get(THETA, start.theta),
@@ -139,7 +139,7 @@ def _gail(practice: Practice, checkpoint: Checkpoint, demonstrations: Demonstrat
     from rail_sumo.imitation import gail
 
     run, start = practice.run, checkpoint.learned
-    judge = _judge(run, checkpoint.memory)
+    judge = judge_of(run)
     ppo = gail.Ppo(
         start.theta,
         start.shape,
@@ -231,12 +231,14 @@ def _start(config: Config, demonstrations: Demonstrations, seed: int) -> Learned
     return LearnedDriver(bc.clone(demonstrations, shape, whitening, cloning, seed), shape, whitening)
 
 
-def _judge(run: RunDirectory, memory: Tensors) -> "Judge":
+def judge_of(run: RunDirectory) -> "Judge":
+    """Return a run's judge as it stands after the run's last iteration."""
     from rail_sumo.imitation.discriminator import Judge
 
     config, clone = run.config, run.clone
     horizon_decisions = round(config.train.horizon_s / config.episode.decision_period_s)
     judge = Judge(clone.shape.n_features, clone.whitening, config.judge, run.seed, horizon_decisions)
+    memory = run.checkpoint().memory
     if memory:
         judge.load_state(_part(JUDGES, memory))
     return judge
@@ -275,7 +277,12 @@ def _progress(iteration: Iteration, before: tuple[Row, ...], seconds: float) -> 
     }
 
 
-def _demonstrations(config: Config) -> Demonstrations:
+def demonstrations_of(config: Config) -> Demonstrations:
+    """Return the demonstrations that a configuration names.
+
+    Raises:
+        InputError: there are none, or fewer than wanted, or they are damaged or of another observation.
+    """
     features = feature_names(config.lidar, config.observation)
     return Demonstrations.load(_demonstrations_file(config), features=features).take(config.train.trajectories)
 

@@ -27,7 +27,7 @@ def done(monkeypatch):
         if resume:
             RunDirectory(folder).go_on(world, seed, {})
             return RunDirectory(folder)
-        demonstrations = training._demonstrations(world)
+        demonstrations = training.demonstrations_of(world)
         return RunDirectory.create(folder, world, seed, {}, training._start(world, demonstrations, seed))
 
     def evaluate(policies, world, *, episodes, seed):
