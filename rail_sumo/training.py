@@ -54,6 +54,8 @@ def learn(
     run = RunDirectory(out) if resume else None
     if run is None:
         require_new(out)
+    if config.train.learner == "dagger":
+        drivers.load_expert(config)  # or there is nobody to ask
     demonstrations = demonstrations_of(config)
     inputs = _inputs(config)
     if run is None:
@@ -222,10 +224,8 @@ def _start(config: Config, demonstrations: Demonstrations, seed: int) -> Learned
     """Return what the first iteration starts from: a clone, or for a learner without demonstrations a fresh network."""
     from rail_sumo.imitation import bc
 
-    cloning, whitening = config.cloning, Whitening.of(demonstrations.observations)
-    if config.train.learner == "ars":
-        cloning = cloning.model_copy(update={"epochs": 0})
-        whitening = Whitening(np.zeros_like(whitening.mean), np.ones_like(whitening.std))
+    whitening = Whitening.of(demonstrations.observations)
+    cloning = config.cloning.model_copy(update={"epochs": 0}) if config.train.learner == "ars" else config.cloning
     n_features = len(feature_names(config.lidar, config.observation))
     shape = Shape(n_features, config.policy.hidden if config.policy.layers == 2 else None)
     return LearnedDriver(bc.clone(demonstrations, shape, whitening, cloning, seed), shape, whitening)
@@ -278,12 +278,14 @@ def _progress(iteration: Iteration, before: tuple[Row, ...], seconds: float) -> 
 
 
 def demonstrations_of(config: Config) -> Demonstrations:
-    """Return the demonstrations that a configuration names.
+    """Return the demonstrations that a configuration names; for a learner that is shown nothing, a blank one.
 
     Raises:
         InputError: there are none, or fewer than wanted, or they are damaged or of another observation.
     """
     features = feature_names(config.lidar, config.observation)
+    if config.train.learner == "ars":
+        return Demonstrations(np.zeros((1, len(features))), np.zeros(1, np.int64), np.zeros(1, np.int64))
     return Demonstrations.load(_demonstrations_file(config), features=features).take(config.train.trajectories)
 
 

@@ -346,3 +346,22 @@ def test_one_worker_and_two_give_the_same_tables_byte_for_byte(tmp_path):
         tables = run.evaluate({"rule": "rule", "random": "random"}, world, episodes=2, seed=0, workers=workers)
         run.report.write(tmp_path / str(workers), episodes=tables[0], summary=tables[1])
     assert contents(tmp_path / "1") == contents(tmp_path / "2")
+
+
+def other_observation(small, learner):
+    train = small.train.model_copy(update={"learner": learner, "demonstrations": "expert", "trajectories": 40})
+    return small.model_copy(update={"train": train})
+
+
+def test_a_learner_without_demonstrations_minds_no_observation(small, driven, tmp_path):
+    run.train(other_observation(small, "ars"), tmp_path / "run", seed=1)
+    clone = RunDirectory(tmp_path / "run").clone
+    np.testing.assert_array_equal([clone.whitening.mean, clone.whitening.std], [np.zeros(8), np.ones(8)])
+
+
+def test_an_expert_that_cannot_be_asked_is_refused_before_there_is_a_run(small, driven, tmp_path, monkeypatch):
+    monkeypatch.undo()
+    world = small.model_copy(update={"train": small.train.model_copy(update={"learner": "dagger"})})
+    with pytest.raises(InputError, match="the expert was trained on another observation"):
+        run.train(world, tmp_path / "run", seed=1)
+    assert not (tmp_path / "run").exists()
