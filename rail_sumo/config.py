@@ -149,7 +149,7 @@ class Search(_Section):
     """Smaller, and what a perturbation changes drowns in what traffic does; larger, and it is another driver."""
     step_decay: Annotated[float, Field(gt=0.0, le=1.0)] = 0.99
     """The step size shrinks by this factor every iteration; 1 keeps it."""
-    averaging: Annotated[float, Field(ge=0.0, lt=1.0)] = 0.96
+    averaging: Annotated[float, Field(ge=0.0, lt=1.0)] = 0.95
     """The learned policy is a running average of the search's: how much the past weighs in it; 0 takes the last."""
 
     @property
@@ -169,7 +169,8 @@ class Judge(_Section):
 
     hidden: tuple[Count, ...] = (100, 100)
     learning_rate: Positive = 3e-4
-    minibatches: Count = 30
+    minibatches: Count = 10
+    """For every iteration. With many more it learns its demonstrations by heart."""
     batch_size: Count = 512
     gradient_penalty: NonNegative = 0.02
     reward_clip: Positive = 5.0
