@@ -1,10 +1,9 @@
-"""How well RAIL learns, seed by seed, and that it is the judge it learns from.
+"""How well the learners learn, seed by seed, and that it is the judge RAIL learns from.
 
-    python benchmarks/learning.py --seeds 5 --layers 2      # trains runs/learning/two-layer-SEED, prints every seed
-    python benchmarks/learning.py --control                 # RAIL under judges that know nothing, against its clone
+    rail-sumo reproduce table1 --seeds 5 && python benchmarks/learning.py runs/reproduce   # every seed's figures
+    python benchmarks/learning.py runs/reproduce --control    # RAIL under judges that know nothing, against its clone
 
-Runs that exist already are read, not trained again. A seed's figures are means over held-out traffic; those over all
-seeds are interquartile means with intervals, which of few seeds are too narrow (see `rail_sumo.statistics`).
+A seed's figures are means over its held-out episodes, set beside the expert's on the same traffic.
 """
 
 import argparse
@@ -16,59 +15,36 @@ import numpy as np
 import pandas as pd
 from scipy import stats
 
-from rail_sumo import config, metrics, rollout, run, statistics, training
+from rail_sumo import metrics, reproduce, rollout, training
 from rail_sumo.imitation import rail
 from rail_sumo.imitation.demonstrations import Demonstrations
 from rail_sumo.imitation.discriminator import JudgeLoss
-from rail_sumo.run_directory import RunDirectory
+from rail_sumo.run_directory import PROGRESS, RunDirectory
 
-SHOWN = ["speed_kmh", "overtakes", "lane_changes", "lateral_reward", "collisions", "struck"]
-
-
-def seed_by_seed(layers: int, n_seeds: int, out: Path, overrides: list[str]) -> None:
-    rows, driven = [], []
-    for seed in range(n_seeds):
-        folder = out / f"{'one' if layers == 1 else 'two'}-layer-{seed}"
-        world = config.load(None, [f"policy.layers={layers}", *overrides])
-        if not (folder / "episodes.parquet").exists():
-            run.train(world, folder, seed=seed, workers=2, resume=folder.exists())
-        driven.append(pd.read_parquet(folder / "episodes.parquet"))
-        means = driven[-1].groupby("policy")[SHOWN].mean()
-        seconds = pd.read_csv(folder / "progress.csv")["seconds"].iloc[-1]
-        ratios = means.loc["rail"] / means.loc["expert"]
-        rows.append({
-            "seed": seed,
-            **means.loc["rail"],
-            "clone_kmh": means.loc["clone", "speed_kmh"],
-            "speed/expert": ratios["speed_kmh"],
-            "overtakes/expert": ratios["overtakes"],
-            "changes/expert": ratios["lane_changes"],
-            "lateral/expert": ratios["lateral_reward"],
-            "training_s": seconds,
-        })  # fmt: skip
-        print(pd.DataFrame(rows).round(3).to_string(index=False), flush=True)
-    print(over_all_seeds(driven).round(3).to_string(index=False))
+SHOWN = ["speed_kmh", "overtakes", "lane_changes", "lateral_reward"]
 
 
-def over_all_seeds(driven: list[pd.DataFrame]) -> pd.DataFrame:
-    """Ratios of interquartile means to the expert's over all seeds' episodes, with 95 % intervals over both."""
+def seed_by_seed(out: Path) -> pd.DataFrame:
+    """A row per training: the mean speed, ratios to the expert, the gain on a clone of the same seed, the time."""
+    cells = pd.read_parquet(out / "cells.parquet")
+    means = cells.groupby(["learner", "layers", "trajectories", "training_seed"], sort=False)[
+        [*SHOWN, "collisions", "struck"]
+    ].mean()
     rows = []
-    for metric in ("speed_kmh", "overtakes", "lane_changes", "lateral_reward"):
-        rail, clone, expert = (
-            np.array([table.loc[table["policy"] == policy, metric] for table in driven])
-            for policy in ("rail", "clone", "expert")
-        )
-        low, high = statistics.interval(statistics.ratio_of_iqms, rail, expert)
-        gain_low, gain_high = statistics.interval(statistics.mean_difference, rail, clone)
+    for (learner, layers, trajectories, seed), driven in means[means.index.get_level_values("layers") > 0].iterrows():
+        ratios = driven[SHOWN] / means.loc[("expert", 0, 0, seed), SHOWN]
+        clones = means["speed_kmh"].get(("bc", layers, trajectories, seed), np.nan)
+        progress = pd.read_csv(out / "cells" / reproduce.Cell(learner, layers, trajectories, seed).name / PROGRESS)
         rows.append({
-            "metric": metric,
-            "rail/expert": statistics.ratio_of_iqms(rail, expert),
-            "low": low,
-            "high": high,
-            "rail-clone": statistics.mean_difference(rail, clone),
-            "low ": gain_low,
-            "high ": gain_high,
-            "P(rail above clone)": statistics.probability_of_improvement(rail, clone),
+            "learner": learner,
+            "layers": layers,
+            "seed": seed,
+            "km/h": driven["speed_kmh"],
+            **{f"{name}/expert": ratio for name, ratio in ratios.items()},
+            "km/h on its clone": driven["speed_kmh"] - clones,
+            "contacts": driven["collisions"] + driven["struck"],
+            "million steps": progress["environment_steps"].max() / 1e6,
+            "minutes": progress["seconds"].max() / 60,
         })  # fmt: skip
     return pd.DataFrame(rows)
 
@@ -129,18 +105,15 @@ def control(folder: Path, iterations: int, episodes: int) -> None:
 
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("--seeds", type=int, default=5)
-    parser.add_argument("--layers", type=int, choices=(1, 2), default=2)
-    parser.add_argument("--out", type=Path, default=Path("runs/learning"))
-    parser.add_argument("--set", action="append", default=[], help="section.key=value, as in rail-sumo train")
-    parser.add_argument("--control", action="store_true", help="the negative control instead, on the first run")
+    parser.add_argument("folder", type=Path, help="what rail-sumo reproduce wrote")
+    parser.add_argument("--control", action="store_true", help="the negative control instead, on seed 0")
     parser.add_argument("--iterations", type=int, default=30, help="of the control")
     parser.add_argument("--episodes", type=int, default=16, help="of the control")
     given = parser.parse_args()
     if given.control:
-        control(given.out / "two-layer-0", given.iterations, given.episodes)
+        control(given.folder / "cells" / "rail-2-layer-40-seed0", given.iterations, given.episodes)
     else:
-        seed_by_seed(given.layers, given.seeds, given.out, given.set)
+        print(seed_by_seed(given.folder).round(3).to_string(index=False))
 
 
 if __name__ == "__main__":

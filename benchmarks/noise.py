@@ -1,6 +1,6 @@
 """How much of what the search follows is the policy's doing, and how much is traffic's.
 
-    python benchmarks/signal.py runs/first [--noise 0.05 0.1 0.2] [--directions 200]
+    python benchmarks/noise.py runs/first [--noise 0.05 0.1 0.2] [--directions 200]
 
 At a trained policy, every direction is driven forwards and backwards twice, on two traffics that have nothing to do
 with each other. The correlation, over directions, of the difference in return on the one traffic and on the other is
