@@ -65,10 +65,12 @@ def train(
     workers: Workers = "",
     resume: Annotated[bool, typer.Option("--resume", help="Go on with a run.")] = False,
     seed: Annotated[int | None, typer.Option(min=0, help=_SEED, show_default="0")] = None,
+    events: Annotated[bool, typer.Option("--tensorboard", help="Also write event files.")] = False,
 ) -> None:
     """Learn a driver from demonstrations and set it beside its clone and the expert."""
     from rail_sumo import run
     from rail_sumo.run_directory import CONFIG, RunDirectory
+    from rail_sumo.tensorboard import Events
 
     out = out or Path("runs", f"{Path(config_file).stem if config_file else 'default'}-seed{seed or 0}")
     if resume:  # as it was started, where nothing else is said
@@ -78,7 +80,8 @@ def train(
     chosen = _configuration(config_file, overrides)
     n_workers = _workers(workers)
     try:
-        with _bars() as observer:
+        with _bars() as bars:
+            observer = Events(bars, out) if events else bars
             tables = run.train(chosen, out, seed=seed or 0, workers=n_workers, resume=resume, observer=observer)
     except KeyboardInterrupt:
         hint = f"; go on with: rail-sumo train --out {shlex.quote(str(out))} --resume" if out.exists() else ""
