@@ -34,10 +34,11 @@ def seed_by_seed(out: Path) -> pd.DataFrame:
     for (learner, layers, trajectories, seed), driven in means[means.index.get_level_values("layers") > 0].iterrows():
         ratios = driven[SHOWN] / means.loc[("expert", 0, 0, seed), SHOWN]
         clones = means["speed_kmh"].get(("bc", layers, trajectories, seed), np.nan)
-        progress = pd.read_csv(out / "cells" / reproduce.Cell(learner, layers, trajectories, seed).name / PROGRESS)
+        progress = pd.read_csv(out / "runs" / reproduce.Cell(learner, layers, trajectories, seed).name / PROGRESS)
         rows.append({
             "learner": learner,
             "layers": layers,
+            "trajectories": trajectories,
             "seed": seed,
             "km/h": driven["speed_kmh"],
             **{f"{name}/expert": ratio for name, ratio in ratios.items()},
@@ -111,7 +112,7 @@ def main() -> None:
     parser.add_argument("--episodes", type=int, default=16, help="of the control")
     given = parser.parse_args()
     if given.control:
-        control(given.folder / "cells" / "rail-2-layer-40-seed0", given.iterations, given.episodes)
+        control(given.folder / "runs" / "rail-2-layer-40-seed0", given.iterations, given.episodes)
     else:
         print(seed_by_seed(given.folder).round(3).to_string(index=False))
 

@@ -36,7 +36,7 @@ app.add_typer(network, name="network")
 
 ConfigFile = Annotated[
     str | None,
-    typer.Argument(metavar="CONFIG", help="A .toml, or `paper` for the printed algorithm. Without one, all defaults."),
+    typer.Argument(metavar="CONFIG", help="A .toml, or `paper` for the plain algorithm. Without one, all defaults."),
 ]
 Overrides = Annotated[
     list[str] | None, typer.Option("--set", metavar="SECTION.KEY=VALUE", help="Change one key; repeatable.")
@@ -67,7 +67,7 @@ def train(
     seed: Annotated[int | None, typer.Option(min=0, help=_SEED, show_default="0")] = None,
     events: Annotated[bool, typer.Option("--tensorboard", help="Also write event files.")] = False,
 ) -> None:
-    """Learn a driver from demonstrations and set it beside its clone and the expert."""
+    """Learn a driver from demonstrations and set it beside its clone, if it has one, and the expert."""
     from rail_sumo import run
     from rail_sumo.run_directory import CONFIG, RunDirectory
     from rail_sumo.tensorboard import Events
@@ -109,7 +109,7 @@ def evaluate(
     from rail_sumo import report, run
 
     if out:
-        files.check_folder(out, overwrite=overwrite)
+        files.check_folder(out, overwrite=overwrite, instead=", or replace its tables with --overwrite")
     n_workers = _workers(workers)
     world = run.world(policies, _world(network, routes, overrides))
     who = {policy: run.find_driver(policy, world) for policy in policies}

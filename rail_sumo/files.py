@@ -9,15 +9,23 @@ from pathlib import Path
 from rail_sumo.errors import InputError
 
 
-def check_folder(folder: Path, *, overwrite: bool = False) -> None:
-    """Raise InputError if `whole_folder` would be refused: better before an hour of driving than after it."""
+def check_folder(folder: Path, *, overwrite: bool = False, instead: str = "") -> None:
+    """Raise InputError if `whole_folder` would be refused: better before an hour of driving than after it.
+
+    Args:
+        folder: where it would write.
+        overwrite: whether the folder may exist.
+        instead: what the user may do about an existing folder beside choosing another.
+    """
     if folder.exists() and not overwrite:
-        raise InputError(f"output folder '{folder}' exists; choose another, or replace its tables with --overwrite")
+        raise InputError(f"output folder '{folder}' exists; choose another{instead}")
     _check_writable(folder)
 
 
 def check_file(file: Path, *, overwrite: bool = False) -> None:
     """Raise InputError if a file exists and is not to be replaced, or nothing can be written beside it."""
+    if file.is_dir():
+        raise InputError(f"output file '{file}' is a folder; name a file in it")
     if file.exists() and not overwrite:
         raise InputError(f"output file '{file}' exists; choose another, or replace it with --overwrite")
     _check_writable(file.parent)
@@ -31,7 +39,7 @@ def whole_file(file: Path) -> Iterator[Path]:
         InputError: it cannot be written, or the disk is full.
     """
     partial = file.with_name(f".{file.name}.partial")
-    with _refused(file):
+    with writing(file):
         file.parent.mkdir(parents=True, exist_ok=True)
         try:
             yield partial
@@ -44,27 +52,31 @@ def whole_file(file: Path) -> Iterator[Path]:
 def whole_folder(folder: Path, *, overwrite: bool = False) -> Iterator[Path]:
     """Give an empty folder on the same disk to write into; at the end it becomes `folder`.
 
-    With `overwrite` the folder may exist: its files are replaced by those of the same names, others are left alone.
+    With `overwrite` the folder may exist: then its files are replaced, one by one, by those of the same names, and
+    others are left alone.
 
     Raises:
         InputError: it exists, cannot be written to, or the disk is full.
     """
     check_folder(folder, overwrite=overwrite)
-    with _refused(folder):
-        folder.parent.mkdir(parents=True, exist_ok=True)
-        with tempfile.TemporaryDirectory(dir=folder.parent, prefix=f".{folder.name}.") as scratch:
+    with writing(folder):
+        merging = overwrite and folder.exists()
+        place = folder if merging else folder.parent
+        place.mkdir(parents=True, exist_ok=True)
+        with tempfile.TemporaryDirectory(dir=place, prefix=f".{folder.name}.") as scratch:
             partial = Path(scratch, folder.name)
             partial.mkdir()
             yield partial
-            if overwrite and folder.exists():
-                for file in partial.iterdir():
+            if merging:
+                for file in sorted(partial.iterdir()):
                     file.replace(folder / file.name)
             else:
                 partial.rename(folder)
 
 
 @contextmanager
-def _refused(path: Path) -> Iterator[None]:
+def writing(path: Path) -> Iterator[None]:
+    """Tell the user in one line of a disk that is full or cannot be written to."""
     try:
         yield
     except OSError as error:

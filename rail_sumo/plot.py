@@ -41,7 +41,8 @@ _COLOURS = ("#0072b2", "#d55e00", "#009e73", "#cc79a7", "#e69f00", "#56b4e9", "#
 
 
 def learning_curves(runs: Sequence[Path], against: Against = "steps") -> "Figure":
-    """Draw how training went, over the rollouts that it went by: those of perturbed policies in training traffic.
+    """Draw how training went, over the rollouts that it went by, in training traffic: those of perturbed policies for
+    a random search, of one that draws its actions for GAIL.
 
     Runs in one folder whose names differ in a number at their end alone (`mine-seed0`, `mine-seed1`) are one curve:
     their mean, with the 95 % confidence band of the mean (Student's t) and each run as a thin line.
@@ -137,7 +138,7 @@ def save(figure: "Figure", out: Path, *, overwrite: bool = False) -> None:
 def _progress(run: Path) -> pd.DataFrame:
     progress = pd.DataFrame(RunDirectory(run).checkpoint().progress, columns=list(PROGRESS_COLUMNS))
     if progress.empty:
-        raise InputError(f"run '{run}' has no iteration to draw yet; train it first")
+        raise InputError(f"run '{run}' has no iteration to draw")
     return progress
 
 

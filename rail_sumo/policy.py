@@ -39,9 +39,13 @@ class Whitening:
 
     @classmethod
     def of(cls, observations: Floats) -> "Whitening":
-        """Measure observations of shape (n, n_features); a feature that never varies keeps its scale."""
-        std = observations.std(axis=0)
-        return cls(observations.mean(axis=0), np.where(std < 1e-8, 1.0, std))
+        """Measure observations of shape (n, n_features)."""
+        return cls.by(observations.mean(axis=0), observations.std(axis=0))
+
+    @classmethod
+    def by(cls, mean: Floats, std: Floats) -> "Whitening":
+        """Take measured moments; a feature that never varies keeps its scale."""
+        return cls(mean, np.where(std < 1e-8, 1.0, std))
 
 
 class Policy:

@@ -100,6 +100,8 @@ class Trajectory:
     """(n_decisions, n_features): what the supervisor saw."""
     actions: NDArray[np.int64]
     """(n_decisions,): the `MetaAction` it decided."""
+    carried_out: NDArray[np.int64]
+    """(n_decisions,): what came of it; of a lane change that was refused or under way already, KEEP."""
     speed_mps: Floats
     """(n_steps + 1,): the host's speed at the start and after every SUMO step."""
     lane_changing: NDArray[np.bool_]

@@ -60,7 +60,8 @@ def summary(episodes: pd.DataFrame) -> pd.DataFrame:
 def write(folder: Path, *, overwrite: bool = False, **tables: pd.DataFrame) -> None:
     """Write tables into the folder, each under its name as CSV and as Parquet with the same content.
 
-    All or nothing; with `overwrite` the folder may exist, and other files in it are left alone.
+    A new folder appears whole or not at all. With `overwrite` it may exist: tables of the same names are replaced,
+    other files left alone.
 
     Raises:
         InputError: the folder exists, cannot be written to, or the disk is full.

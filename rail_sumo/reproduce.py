@@ -1,11 +1,13 @@
 """The paper's experiments: every learner trained on several seeds, their Table 1, and Figures 3 and 4.
 
 An experiment is a grid of cells. A cell is one training, or one driver that does not train, evaluated on the held-out
-traffic of its seed; its folder is a run directory like any other, so that an experiment which is interrupted goes on
-with the cell, and the iteration, that it was at.
+traffic of its seed. Trainings are run directories under `runs/`, so that an experiment which is interrupted goes on
+with the iteration that it was at; what a finished cell came to is one file under `cells/`, which also tells the
+configuration and the files that it follows from.
 """
 
 import itertools
+import json
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -13,14 +15,16 @@ from typing import Any
 
 import numpy as np
 import pandas as pd
+import pyarrow as pa
+import pyarrow.parquet as pq
 
-from rail_sumo import plot, report, rollout, run, training
-from rail_sumo.config import Config, dumps, load
+from rail_sumo import assets, drivers, plot, report, rollout, run, training
+from rail_sumo.config import Config, dumps
 from rail_sumo.errors import InputError
 from rail_sumo.files import check_folder, whole_file
 from rail_sumo.records import EPISODE_COLUMNS, Floats
 from rail_sumo.rollout import SILENT, Observer, WorkerCount
-from rail_sumo.run_directory import CONFIG
+from rail_sumo.run_directory import RunDirectory
 from rail_sumo.statistics import interval, iqm, probability_of_improvement, ratio_of_iqms
 
 TRAJECTORIES = (1, 5, 10, 20, 40)
@@ -39,8 +43,11 @@ TABLE1 = (("rail", 2), ("rail", 1), ("bc", 2), ("gail", 2), ("dagger", 2), ("rul
 FIGURES = (("rail", 2), ("rail", 1), ("bc", 2), ("gail", 2))
 """The curves of Figures 3 and 4."""
 
-QUICK = {"rail": 40, "gail": 40, "bc": 0, "dagger": 4}
-"""Iterations of an experiment that is to show its shape within minutes."""
+QUICK = {"rail": 30, "gail": 30, "bc": 0, "dagger": 5}
+"""Iterations of an experiment that is to show its shape within minutes: a quarter."""
+
+MADE_OF = b"rail_sumo"
+"""The key of a cell's metadata that tells its configuration and the SHA-256 of the files it read."""
 
 CELL_COLUMNS = {"learner": "string", "layers": "int64", "trajectories": "int64", "training_seed": "int64"} | {
     name: kind for name, kind in EPISODE_COLUMNS.items() if name != "policy"
@@ -62,7 +69,7 @@ TABLE_COLUMNS = {
 }
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, order=True)
 class Cell:
     """One training, or one driver that does not train, and its held-out episodes."""
 
@@ -73,16 +80,62 @@ class Cell:
 
     @property
     def name(self) -> str:
-        """Its folder's."""
-        trained = f"-{self.layers}-layer-{self.trajectories}" if self.layers else ""
-        return f"{self.learner}{trained}-seed{self.seed}"
+        """What its files are called."""
+        return f"{self.learner}-{self.layers}-layer-{self.trajectories}-seed{self.seed}"
+
+    @classmethod
+    def parse(cls, name: str) -> "Cell":
+        """Return the cell whose files are called so."""
+        learner, layers, _, trajectories, seed = name.split("-")
+        return cls(learner, int(layers), int(trajectories), int(seed.removeprefix("seed")))
 
 
 @dataclass(frozen=True)
 class _Work:
+    """A cell, the configuration it is trained and driven with, and the experiment's folder."""
+
     cell: Cell
     config: Config
-    folder: Path
+    out: Path
+
+    @property
+    def run(self) -> Path:
+        return self.out / "runs" / self.cell.name
+
+    @property
+    def is_finished(self) -> bool:
+        """Whether its result is there, of this configuration and these files."""
+        return self._file.is_file() and (pq.read_schema(self._file).metadata or {}).get(MADE_OF) == self._made_of
+
+    def check(self) -> None:
+        """Refuse, before anybody drives, what could not be gone on with."""
+        if self.cell.layers:
+            training.demonstrations_of(self.config)
+        if self.run.exists():
+            RunDirectory(self.run).require_same(self.config, self.cell.seed, training.inputs_of(self.config))
+
+    def save(self, episodes: pd.DataFrame) -> None:
+        """Write the result."""
+        about = {"training_seed" if name == "seed" else name: value for name, value in vars(self.cell).items()}
+        table = pa.Table.from_pandas(report.typed(episodes.assign(**about), CELL_COLUMNS), preserve_index=False)
+        with whole_file(self._file) as partial:
+            pq.write_table(table.replace_schema_metadata({MADE_OF: self._made_of}), partial)
+
+    def result(self) -> pd.DataFrame:
+        """Read the result."""
+        return report.typed(pd.read_parquet(self._file), CELL_COLUMNS)
+
+    @property
+    def _file(self) -> Path:
+        return self.out / "cells" / f"{self.cell.name}.parquet"
+
+    @property
+    def _made_of(self) -> bytes:
+        """What the result follows from."""
+        inputs = training.inputs_of(self.config)
+        if self.cell.learner == report.EXPERT:
+            inputs["the shipped expert"] = assets.sha256(assets.expert(assets.EXPERT_POLICY))
+        return json.dumps({"config": dumps(self.config), "inputs": inputs}).encode()
 
 
 def table1(
@@ -100,7 +153,7 @@ def table1(
         config: of every training; learner, layers and number of trajectories are the cell's.
         out: may hold some of it already, of the same configuration.
         seeds: trainings of each learner, with seeds from 0.
-        quick: for a first look: fewer iterations.
+        quick: for a first look: a quarter of the iterations, unless `train.iterations` says how many.
         workers: how many cells at once, each in a process of its own.
         observer: is told of every cell.
 
@@ -108,7 +161,8 @@ def table1(
         A row per learner and metric: `TABLE_COLUMNS`.
 
     Raises:
-        InputError: as in `run.train`; `out` holds another experiment.
+        InputError: as in `run.train`; the expert does not drive in this world; `out` holds trainings of another
+            configuration or of more iterations.
     """
     grid = [(learner, layers, config.train.trajectories if layers else 0) for learner, layers in TABLE1]
     cells = _drive(config, out, [*grid, (report.EXPERT, 0, 0)], seeds, quick, workers, observer)
@@ -200,24 +254,28 @@ def _drive(
         raise InputError(f"--seeds must be at least 1; got {seeds}")
     check_folder(out, overwrite=True)
     run.require_drivable(config, config.train.evaluation_episodes)
+    drivers.load_expert(config)  # everybody is set beside it
     cells = [Cell(*what, seed) for seed in range(seeds) for what in grid]
-    work = [_Work(cell, _world(cell, config, quick), out / "cells" / cell.name) for cell in cells]
+    work = [_Work(cell, _world(cell, config, quick), out) for cell in cells]
+    for one in work:
+        one.check()
     observer.start("cells", len(cells))
     driven = []
     with rollout.workers(workers) as pool:
         for episodes in pool.map(_finish, work):
             driven.append(episodes)
             observer.advance({})
-    table = report.typed(pd.concat(driven, ignore_index=True), CELL_COLUMNS)
-    report.write(out, cells=table, overwrite=True)
-    return table
+    finished = [one.result() for one in _all_finished(config, out, quick)]  # the other experiment's too
+    report.write(out, cells=report.typed(pd.concat(finished, ignore_index=True), CELL_COLUMNS), overwrite=True)
+    return report.typed(pd.concat(driven, ignore_index=True), CELL_COLUMNS)
 
 
 def _world(cell: Cell, config: Config, quick: bool) -> Config:
     """Return the configuration that a cell is trained and driven with."""
     if not cell.layers:
         return config
-    iterations = QUICK[cell.learner] if quick else config.train.iterations
+    default = config.train.iterations == "default"
+    iterations = QUICK[cell.learner] if quick and default else config.train.iterations
     changed = {
         "learner": cell.learner,
         "trajectories": cell.trajectories,
@@ -233,23 +291,24 @@ def _world(cell: Cell, config: Config, quick: bool) -> Config:
 
 def _finish(work: _Work) -> pd.DataFrame:
     """Bring a cell to its end, wherever it stands, and return its episodes; runs in a process of its own."""
-    cell, folder, world = work.cell, work.folder, work.config
-    driven = folder / "episodes.parquet"
-    if not (driven.is_file() and load(folder / CONFIG) == world):
-        driven.unlink(missing_ok=True)  # of fewer iterations: they would pass for the new ones after an interruption
+    cell, world = work.cell, work.config
+    if not work.is_finished:
         if cell.layers:
-            started = training.learn(world, folder, seed=cell.seed, resume=folder.exists())
-            driver: run.Driver = started.policy(world)
+            learned = training.learn(world, work.run, seed=cell.seed, resume=work.run.exists())
+            driver: run.Driver = learned.policy(world)
         else:
             driver = run.find_driver(cell.learner, world)
-            with whole_file(folder / CONFIG) as partial:
-                partial.write_text(dumps(world), encoding="utf-8")
         n_episodes = world.train.evaluation_episodes
-        episodes, summary = run.evaluate({cell.learner: driver}, world, episodes=n_episodes, seed=cell.seed)
-        report.write(folder, episodes=episodes, summary=summary, overwrite=True)
-    return pd.read_parquet(driven).assign(
-        learner=cell.learner, layers=cell.layers, trajectories=cell.trajectories, training_seed=cell.seed
-    )
+        episodes, _ = run.evaluate({cell.learner: driver}, world, episodes=n_episodes, seed=cell.seed)
+        work.save(episodes)
+    return work.result()
+
+
+def _all_finished(config: Config, out: Path, quick: bool) -> list[_Work]:
+    """Return the finished cells of this configuration, in the order of `CELL_COLUMNS`."""
+    cells = sorted(Cell.parse(file.stem) for file in (out / "cells").glob("[!.]*.parquet"))
+    work = [_Work(cell, _world(cell, config, quick), out) for cell in cells]
+    return [one for one in work if one.is_finished]
 
 
 def _of(cells: pd.DataFrame, learner: str, layers: int, trajectories: int) -> pd.DataFrame:
@@ -288,11 +347,11 @@ _LABELS = {
 
 
 def _markdown(table: pd.DataFrame) -> str:
-    """Return the means, the ratios to the expert with their intervals, and the paper's beside them."""
+    """Return interquartile means, their ratios to the expert's with intervals, and the paper's means beside them."""
     lines = [_line("", _LABELS.values()), "| --- |" + " ---: |" * len(METRICS)]
     for (learner, layers), rows in table.groupby(["learner", "layers"], sort=False):
         system, by_metric = (learner, layers), rows.set_index("metric").loc[list(METRICS)]
-        lines.append(_line(_NAMES[system], map("{:.1f}".format, by_metric["mean"])))
+        lines.append(_line(_NAMES[system], map("{:.1f}".format, by_metric["iqm"])))
         ratios = [_ratio(*row) for row in by_metric[["ratio", "ratio_low", "ratio_high"]].to_numpy()]
         if learner != report.EXPERT:
             lines.append(_line("&emsp;of the expert's", ratios))
@@ -300,6 +359,7 @@ def _markdown(table: pd.DataFrame) -> str:
             lines.append(_line("&emsp;in the paper", map("{:.1f}".format, by_metric["paper"])))
         if system in PAPER and learner != report.EXPERT:
             lines.append(_line("&emsp;in the paper, of the expert's", map("{:.3f}".format, by_metric["paper_ratio"])))
+    lines += ["", "Interquartile means over training seeds and episodes, with 95 % intervals; the paper's are means."]
     return "\n".join(lines) + "\n"
 
 

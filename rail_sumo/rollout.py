@@ -1,7 +1,9 @@
 """Task -> Trajectory, and what drives many: serial, processes, Ray."""
 
 import multiprocessing
+import os
 import signal
+import threading
 from collections.abc import Callable, Iterable, Iterator, Mapping
 from concurrent.futures import ProcessPoolExecutor
 from concurrent.futures.process import BrokenProcessPool
@@ -138,7 +140,7 @@ def workers(number: WorkerCount) -> Iterator[Workers]:
     """Yield something with a `map`: this process for 1, a pool of processes, or a Ray cluster's.
 
     The pool spawns its processes, so none of them carries the parent's torch or its open simulation. They leave
-    Ctrl-C to the parent.
+    Ctrl-C to the parent, and end with it.
 
     Raises:
         InputError: Ray is wanted and not installed, or a process of the pool died.
@@ -150,10 +152,11 @@ def workers(number: WorkerCount) -> Iterator[Workers]:
         with _ray_pool() as pool:
             yield _Ray(pool)
         return
-    ignore = (signal.SIGINT, signal.SIG_IGN)
     spawn = multiprocessing.get_context("spawn")
-    executor = ProcessPoolExecutor(number, spawn, initializer=signal.signal, initargs=ignore)
-    before = signal.signal(*ignore)  # the workers inherit it, so none is interrupted while it starts
+    executor = ProcessPoolExecutor(number, spawn, initializer=_begin)
+    before = signal.signal(
+        signal.SIGINT, signal.SIG_IGN
+    )  # the workers inherit it, so none is interrupted while it starts
     try:
         for _ in range(number):
             executor.submit(int)  # each starts one
@@ -172,6 +175,19 @@ def workers(number: WorkerCount) -> Iterator[Workers]:
         ) from None
     finally:
         executor.shutdown(cancel_futures=True)
+
+
+def _begin() -> None:
+    """In a worker: leave Ctrl-C to the parent, and end with it, lest work go on that nobody knows of."""
+    signal.signal(signal.SIGINT, signal.SIG_IGN)
+    parent = multiprocessing.parent_process()
+    assert parent is not None
+
+    def follow() -> None:
+        parent.join()
+        os._exit(1)
+
+    threading.Thread(target=follow, daemon=True).start()
 
 
 def _ray_pool() -> Any:

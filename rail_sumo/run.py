@@ -148,10 +148,10 @@ def train(
     resume: bool = False,
     observer: Observer = SILENT,
 ) -> Tables:
-    """Clone the demonstrations, improve the clone by RAIL, and set both beside the shipped expert on held-out traffic.
+    """Learn a driver, and set it beside its clone, if it has one, and the shipped expert on held-out traffic.
 
-    The run directory `out` appears once there is a clone. From then on training may be interrupted at any moment,
-    by kill -9 too, and with `resume` goes on to the very same policy, or to more iterations.
+    The run directory `out` appears once there is something to start from. From then on training may be interrupted at
+    any moment, by kill -9 too, and with `resume` goes on to the very same policy, or to more iterations.
 
     Raises:
         InputError: `out` exists, or with `resume` is no run of this configuration, seed and files, or one of more

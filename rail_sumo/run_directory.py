@@ -40,7 +40,7 @@ PROGRESS_COLUMNS = (
     "iteration",
     "environment_steps",  # SUMO steps driven since the start
     "seconds",  # at work since the start, interruptions left out
-    "mean_return",  # of this iteration's rollouts, by the judge; the next seven likewise of this iteration
+    "mean_return",  # of this iteration's rollouts, by whom the learner is rewarded; the next ones likewise
     "judge_loss",
     "judge_expert_mean",
     "judge_learner_mean",
@@ -157,8 +157,8 @@ class RunDirectory:
         about = {"features": self._about["features"], "progress": checkpoint.progress}
         _write(self.path / CHECKPOINT, _driver_bytes(learned, about, checkpoint.memory))
 
-    def go_on(self, config: Config, seed: int, inputs: Mapping[str, str]) -> None:
-        """Take a run up again, with more iterations or evaluation episodes if the configuration says so.
+    def require_same(self, config: Config, seed: int, inputs: Mapping[str, str]) -> None:
+        """Refuse to take a run up again as another one; more iterations or evaluation episodes are no other.
 
         Raises:
             InputError: the run was started with another seed, configuration or content of the files it reads, or has
@@ -174,8 +174,8 @@ class RunDirectory:
         for key, checksum in self._about["inputs"].items():
             if inputs[key] != checksum:
                 raise InputError(
-                    f"what {key} names has changed since run directory '{self.path}' was started; put it back as it "
-                    f"was, or start another run with --out"
+                    f"the content of {key} has changed since run directory '{self.path}' was started; put it back as "
+                    f"it was, or start another run with --out"
                 )
         done = self.checkpoint().iteration
         if config.train.n_iterations < done:
@@ -183,6 +183,14 @@ class RunDirectory:
                 f"run directory '{self.path}' has done {done} iterations; set train.iterations to no less, or start "
                 f"another with --out"
             )
+
+    def go_on(self, config: Config, seed: int, inputs: Mapping[str, str]) -> None:
+        """Take a run up again, with more iterations or evaluation episodes if the configuration says so.
+
+        Raises:
+            InputError: it would be another run; see `require_same`.
+        """
+        self.require_same(config, seed, inputs)
         if config != self.config:
             _write(self.path / CONFIG, dumps(config).encode())
             self.config = config

@@ -1,12 +1,15 @@
 """A training's figures as TensorBoard event files. Needs the extra `tensorboard`."""
 
+import csv
 from collections.abc import Mapping
 from importlib.util import find_spec
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 from rail_sumo.errors import InputError
+from rail_sumo.files import writing
 from rail_sumo.rollout import Observer
+from rail_sumo.run_directory import PROGRESS
 
 if TYPE_CHECKING:
     from torch.utils.tensorboard import SummaryWriter
@@ -30,7 +33,7 @@ class Events:
         if find_spec("tensorboard") is None:
             raise InputError("event files need TensorBoard; install it with: pip install 'rail-sumo[tensorboard]'")
         self._observer = observer
-        self._folder = run / FOLDER
+        self._run = run
         self._writer: SummaryWriter | None = None
 
     def start(self, work: str, total: int, done: int = 0) -> None:
@@ -38,18 +41,34 @@ class Events:
         self._observer.start(work, total, done)
 
     def advance(self, figures: Mapping[str, float]) -> None:
-        """Write an iteration's figures, over the environment steps driven so far."""
+        """Write an iteration's figures, over the environment steps driven so far.
+
+        Raises:
+            InputError: they cannot be written.
+        """
         if "iteration" in figures:
-            self._write(figures)
+            with writing(self._run / FOLDER):
+                self._write(figures)
         self._observer.advance(figures)
 
     def _write(self, figures: Mapping[str, float]) -> None:
         from torch.utils.tensorboard import SummaryWriter
 
-        steps = int(figures["environment_steps"])
-        if self._writer is None:  # what an interrupted training wrote from here on is overruled
-            self._writer = SummaryWriter(str(self._folder), purge_step=steps)
+        if self._writer is None:  # whatever was written before an interruption, all of it is written anew
+            self._writer = SummaryWriter(str(self._run / FOLDER), purge_step=0)
+            for row in self._earlier(figures["iteration"]):
+                self._add(self._writer, row)
+        self._add(self._writer, figures)
+        self._writer.flush()
+
+    def _earlier(self, iteration: float) -> list[dict[str, float]]:
+        """Return what `progress.csv` has of the iterations before this one."""
+        with (self._run / PROGRESS).open(encoding="utf-8") as file:
+            rows = [{name: float(text) for name, text in row.items() if text} for row in csv.DictReader(file)]
+        return [row for row in rows if row["iteration"] < iteration]
+
+    @staticmethod
+    def _add(writer: "SummaryWriter", figures: Mapping[str, float]) -> None:
         for name, figure in figures.items():
             if name not in ("environment_steps", "seconds"):
-                self._writer.add_scalar(name, figure, steps)
-        self._writer.flush()
+                writer.add_scalar(name, figure, int(figures["environment_steps"]))

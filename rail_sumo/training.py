@@ -57,7 +57,7 @@ def learn(
     if config.train.learner == "dagger":
         drivers.load_expert(config)  # or there is nobody to ask
     demonstrations = demonstrations_of(config)
-    inputs = _inputs(config)
+    inputs = inputs_of(config)
     if run is None:
         run = RunDirectory.create(out, config, seed, inputs, _start(config, demonstrations, seed))
     else:
@@ -294,11 +294,15 @@ def _demonstrations_file(config: Config) -> Path:
     return assets.expert(assets.EXPERT_DEMONSTRATIONS) if name == "expert" else Path(name)
 
 
-def _inputs(config: Config) -> dict[str, str]:
+def inputs_of(config: Config) -> dict[str, str]:
     """Return the SHA-256 of every file that a training with this configuration reads, by the key that names it."""
     demand = road.check_demand(config.traffic.routes)
-    return {
+    inputs = {
         "network.file": assets.sha256(assets.network(config.network.file)),
         "traffic.routes": " ".join(map(assets.sha256, demand)),
-        "train.demonstrations": assets.sha256(_demonstrations_file(config)),
     }
+    if config.train.learner != "ars":
+        inputs["train.demonstrations"] = assets.sha256(_demonstrations_file(config))
+    if config.train.learner == "dagger":
+        inputs["the shipped expert"] = assets.sha256(assets.expert(assets.EXPERT_POLICY))
+    return inputs

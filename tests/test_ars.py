@@ -14,7 +14,13 @@ from rail_sumo.policy import Policy
 SEARCH = Search(n_directions=8, n_top=4, step_size=0.05, noise_std=0.3)
 
 
+DRIVEN_BY = []
+"""The whitenings that policies were driven with, in order."""
+
+
 def evaluate(theta, whitening, perturbations, iteration):
+    DRIVEN_BY.append(whitening)
+
     def drive(parameters, seed):
         policy, seen = Policy(parameters, SHAPE, whitening), sights(seed)
         return episode(seen, [policy(sight) for sight in seen], seed=seed)
@@ -61,7 +67,11 @@ def test_returns_rise():
 def test_v2_whitens_by_all_that_was_met_before_and_v1_by_nothing():
     for state in train(3, whiten=False):
         np.testing.assert_array_equal([state.whitening.mean, state.whitening.std], [np.zeros(3), np.ones(3)])
+    DRIVEN_BY.clear()
     states = train(3, whiten=True)
+    reported = [ars.Moments.none(3).whitening, *(state.whitening for state in states[:-1])]
+    np.testing.assert_array_equal([w.std for w in DRIVEN_BY], [w.std for w in reported])
+    np.testing.assert_array_equal([w.mean for w in DRIVEN_BY], [w.mean for w in reported])
     met = np.concatenate([trajectory.observations for state in states for trajectory in state.driven])
     np.testing.assert_allclose(states[-1].whitening.mean, met.mean(axis=0))
     np.testing.assert_allclose(states[-1].whitening.std, met.std(axis=0))

@@ -131,7 +131,7 @@ def test_another_projects_folder_is_not_mistaken_for_ours(package, pyproject):
         assets.data_root()
 
 
-def test_the_papers_algorithm_is_shipped_and_changes_only_what_it_prints():
+def test_the_papers_algorithm_is_shipped_and_takes_off_what_we_added():
     printed = config.load(assets.configuration("paper")).model_dump()
     default = config.Config().model_dump()
     changed = {

@@ -9,6 +9,7 @@ from rail_sumo.config import Judge as Settings
 from rail_sumo.imitation.demonstrations import Demonstrations
 from rail_sumo.imitation.discriminator import EXPERT_LABEL, LEARNER_LABEL, Judge
 from rail_sumo.policy import Whitening
+from rail_sumo.records import MetaAction
 
 HORIZON = 40
 CLIP = 5.0
@@ -223,3 +224,13 @@ def test_another_judges_state_is_refused():
 def test_whitening_must_fit():
     with pytest.raises(ValueError, match=r"whitening must have shape \(3,\); got \(2,\)"):
         Judge(3, Whitening(np.zeros(2), np.ones(2)), SMALL, 0, HORIZON)
+
+
+def test_a_decision_is_judged_as_what_came_of_it():
+    seen = np.random.default_rng(0).normal(size=(40, 2))
+    asked = np.full(40, MetaAction.LEFT)
+    came = np.where(np.arange(40) % 2, MetaAction.KEEP, MetaAction.LEFT)
+    rollouts = [episode(seen, asked, carried_out=came), episode(seen, came), episode(seen, asked)]
+    given, same, other = judge().returns(rollouts)
+    assert given == same
+    assert given != other

@@ -156,3 +156,22 @@ def test_the_expert_refuses_to_drive_by_other_senses_than_it_was_trained_on():
     as_many = Config(lidar=config.Lidar(n_rays=12), observation=config.Observation(frames=2))
     with pytest.raises(ObservationError, match=r"another observation \(48 features\) than .* give \(48\)"):
         drivers.by_name("expert", as_many, 0)
+
+
+def test_a_drawing_driver_decides_with_softmax_probabilities_and_by_its_seed():
+    outputs = np.array([1.0, 0.0, -1.0, 0.5, 2.0])
+    policy = SimpleNamespace(outputs=lambda observation: outputs)
+    driver, same, other = (drivers.Drawing(policy, seed) for seed in (1, 1, 2))
+    drawn = [driver.decide(None, None) for _ in range(20_000)]
+    expected = np.exp(outputs) / np.exp(outputs).sum()
+    np.testing.assert_allclose(np.bincount(drawn, minlength=5) / len(drawn), expected, atol=0.015)  # 4 sigma
+    assert [same.decide(None, None) for _ in range(100)] == drawn[:100]
+    assert [other.decide(None, None) for _ in range(100)] != drawn[:100]
+
+
+def test_advice_is_noted_for_each_observation_as_it_comes_and_not_taken():
+    decides = SimpleNamespace(decide=lambda observation, env: MetaAction.KEEP)
+    advises = SimpleNamespace(decide=lambda observation, env: observation + env)
+    driver = drivers.Advised(decides, advises)
+    assert [driver.decide(observation, 10) for observation in (1, 2, 3)] == [MetaAction.KEEP] * 3
+    assert driver.advice == [11, 12, 13]

@@ -18,7 +18,7 @@ from rail_sumo.errors import InputError
 from rail_sumo.highway import env as env_module
 from rail_sumo.highway.env import HighwayEnv
 from rail_sumo.highway.observation import feature_names
-from rail_sumo.highway.reward import reward
+from rail_sumo.highway.reward import reward, total_reward
 from rail_sumo.highway.simulation import HOST, TRAFFIC_TYPE, Simulation
 from rail_sumo.records import KMH, MetaAction
 
@@ -349,6 +349,9 @@ def test_rewards_step_by_step_are_the_whole_trajectorys(make):
             refused_decisions=driven.refused_decisions,
         )
     )
+    assert total_reward(driven, env.config.adas) == pytest.approx(earned)
+    struck = dataclasses.replace(driven, struck=1, end_reason="collision")  # whoever hits whom, it is charged once
+    assert total_reward(struck, env.config.adas) == pytest.approx(earned - 10.0)
 
 
 def test_a_decision_is_refused_where_the_mask_forbids_it(make):
@@ -810,3 +813,17 @@ def test_whatever_is_decided_the_host_touches_nobody_and_never_brakes_beyond_9_m
         assert -np.diff(driven.speed_mps).min() / 0.1 <= 9.0 + 1e-6, seed
         changes += driven.lane_changes
     assert changes > 50
+
+
+def test_what_came_of_each_decision_is_noted(make):
+    env = make(world(episode={"duration_s": 100.0}))
+    env.reset(seed=UNSEEN)
+    decide, came = at_random(1), []
+    while not env.is_over:
+        action, mask = decide(env), env.action_masks()
+        sideways = action in (MetaAction.LEFT, MetaAction.RIGHT)
+        came.append(MetaAction.KEEP if sideways and not mask[action] else action)
+        env.drive(action)
+    driven = env.trajectory()
+    np.testing.assert_array_equal(driven.carried_out, came)
+    assert 0 < driven.refused_decisions < (driven.carried_out != driven.actions).sum()  # others were under way

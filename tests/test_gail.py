@@ -1,4 +1,5 @@
 import itertools
+import random
 
 import numpy as np
 import pytest
@@ -9,6 +10,7 @@ from toy import EXPERT_ACTIONS, N_DECISIONS, SHAPE, WHITENING, agreement, episod
 
 from rail_sumo import config
 from rail_sumo.drivers import Drawing
+from rail_sumo.errors import InputError
 from rail_sumo.imitation import gail
 from rail_sumo.imitation.discriminator import Judge, JudgeLoss
 from rail_sumo.policy import Policy, Shape, Whitening
@@ -89,9 +91,10 @@ def test_rewarded_for_one_action_alone_it_takes_that_more_often():
 @pytest.mark.parametrize(
     ("end_reason", "advantages"),
     [
-        # Discount and lambda 1/2 and 1, a critic that expects 0: the reward and half of what follows.
-        ("duration", [1.75, 1.5, 1.0]),  # the last decision is left out: its observation is worth what the critic says
-        ("collision", [1.25, 0.5, -1.0, -4.0]),  # after it, -5 for ever: 1 - 5 / 2 / (1 - 1 / 2)
+        # A reward of 1 a decision and half of what follows, less the critic's 2. At the critic's word, what follows the
+        # last decision is worth 2; so the last decision is left out.
+        ("duration", [0.0, 0.0, 0.0]),
+        ("collision", [-0.75, -1.5, -3.0, -6.0]),  # after it -5 for ever: 1 - 5 / 2 / (1 - 1 / 2) = -4
     ],
 )
 def test_what_follows_a_decision_counts_for_it(end_reason, advantages):
@@ -105,6 +108,7 @@ def test_what_follows_a_decision_counts_for_it(end_reason, advantages):
     )
     with torch.no_grad():
         learner._ppo.policy.value_net.weight.zero_()
+        learner._ppo.policy.value_net.bias.fill_(2.0)
     driven = episode(sights(0, 4), np.zeros(4), end_reason)
     learner.update([driven], lambda observations, actions: np.ones(len(actions)), np.random.default_rng(0))
     np.testing.assert_allclose(learner._ppo.rollout_buffer.advantages.ravel(), advantages)
@@ -121,3 +125,27 @@ def test_gone_on_with_it_is_the_same_as_uninterrupted():
         assert state.iteration == uninterrupted.iteration
         np.testing.assert_array_equal(state.theta, uninterrupted.theta)
         assert state.judge_loss == uninterrupted.judge_loss
+
+
+def test_a_rollout_of_one_decision_tells_nothing():
+    one, more = episode(sights(0, 1), [0]), episode(sights(1), np.zeros(N_DECISIONS))
+    learner, same = ppo(), ppo()
+    learner.update([one, more], Indifferent().rewards, np.random.default_rng(0))
+    same.update([more], Indifferent().rewards, np.random.default_rng(0))
+    np.testing.assert_array_equal(learner.theta(), same.theta())
+    with pytest.raises(InputError, match="no rollout came to two decisions"):
+        learner.update([one, one], Indifferent().rewards, np.random.default_rng(0))
+
+
+def test_the_callers_own_chance_is_left_alone():
+    def drawn():
+        return random.random(), np.random.random(), torch.rand(1).item()  # noqa: NPY002
+
+    before = random.getstate(), np.random.get_state(), torch.get_rng_state()  # noqa: NPY002
+    expected = drawn()
+    random.setstate(before[0])
+    np.random.set_state(before[1])  # noqa: NPY002
+    torch.set_rng_state(before[2])
+    learner = ppo()
+    learner.update([episode(sights(1), np.zeros(N_DECISIONS))], Indifferent().rewards, np.random.default_rng(0))
+    assert drawn() == expected

@@ -20,6 +20,7 @@ def trajectory(speed_mps, **changes):
     uneventful = Trajectory(
         observations=np.empty((0, 48)),
         actions=np.empty(0, dtype=np.int64),
+        carried_out=np.empty(0, dtype=np.int64),
         speed_mps=speed_mps,
         lane_changing=np.zeros(len(speed_mps) - 1, dtype=np.bool_),
         min_ttc_s=math.inf,

@@ -75,7 +75,7 @@ def test_the_judges_two_means_share_a_panel(run):
 
 
 def test_a_run_without_an_iteration_is_refused(run):
-    with pytest.raises(InputError, match=r"has no iteration to draw yet; train it first"):
+    with pytest.raises(InputError, match=r"has no iteration to draw"):
         plot.learning_curves([run("mine", [])])
 
 

@@ -7,7 +7,7 @@ import pytest
 from rail_sumo import config, plot, reproduce, run, training
 from rail_sumo.errors import InputError
 from rail_sumo.rollout import LearnedDriver
-from rail_sumo.run_directory import RunDirectory
+from rail_sumo.run_directory import Checkpoint, RunDirectory
 
 N_EPISODES = 4
 
@@ -25,10 +25,12 @@ def done(monkeypatch):
     def learn(world, folder, *, seed, resume):
         done.append(("learn", folder.name, world.train.learner, world.train.n_iterations, resume))
         if resume:
-            RunDirectory(folder).go_on(world, seed, {})
+            RunDirectory(folder).go_on(world, seed, training.inputs_of(world))
             return RunDirectory(folder)
         demonstrations = training.demonstrations_of(world)
-        return RunDirectory.create(folder, world, seed, {}, training._start(world, demonstrations, seed))
+        return RunDirectory.create(
+            folder, world, seed, training.inputs_of(world), training._start(world, demonstrations, seed)
+        )
 
     def evaluate(policies, world, *, episodes, seed):
         ((name, driver),) = policies.items()
@@ -43,6 +45,10 @@ def done(monkeypatch):
     monkeypatch.setattr(training, "learn", learn)
     monkeypatch.setattr(run, "evaluate", evaluate)
     return done
+
+
+def contents(folder):
+    return {path: path.read_bytes() for path in folder.rglob("*") if path.is_file()}
 
 
 ROW = {
@@ -126,11 +132,40 @@ def test_what_was_quick_goes_on_to_the_whole_and_not_back(world, done, tmp_path)
 
 def test_another_configuration_is_refused(world, done, tmp_path):
     reproduce.table1(world, tmp_path, seeds=1)
-    before = {path: path.read_bytes() for path in tmp_path.rglob("*") if path.is_file() and "episodes" not in path.name}
+    before = contents(tmp_path)
+    done.clear()
     other = world.model_copy(update={"search": world.search.model_copy(update={"noise_std": 0.5})})
     with pytest.raises(InputError, match=r"was started with search\.noise_std = .*, not 0\.5"):
         reproduce.table1(other, tmp_path, seeds=1)
-    assert {path: path.read_bytes() for path in before} == before
+    assert contents(tmp_path) == before
+    assert done == []
+
+
+def test_a_quick_look_at_a_finished_experiment_is_refused_and_leaves_it_alone(world, done, tmp_path, monkeypatch):
+    whole = world.model_copy(update={"train": world.train.model_copy(update={"iterations": "default"})})
+    monkeypatch.setattr(Checkpoint, "iteration", 160)
+    reproduce.table1(whole, tmp_path, seeds=1)
+    before = contents(tmp_path)
+    with pytest.raises(InputError, match="has done 160 iterations"):
+        reproduce.table1(whole, tmp_path, seeds=1, quick=True)
+    assert contents(tmp_path) == before
+
+
+def test_other_files_under_the_same_names_are_another_experiment(world, done, tmp_path, monkeypatch):
+    reproduce.table1(world, tmp_path, seeds=1)
+    done.clear()
+    reproduce.table1(world, tmp_path, seeds=1)
+    assert done == []
+    monkeypatch.setattr(training, "inputs_of", lambda config: {"network.file": "changed"})
+    with pytest.raises(InputError, match=r"the content of network\.file has changed"):
+        reproduce.table1(world, tmp_path, seeds=1)
+
+
+def test_too_few_demonstrations_are_found_out_before_any_work(world, done, tmp_path):
+    many = world.model_copy(update={"train": world.train.model_copy(update={"trajectories": 41})})
+    with pytest.raises(InputError, match="41 demonstrated trajectories wanted, and there are 40"):
+        reproduce.table1(many, tmp_path, seeds=1)
+    assert done == []
 
 
 def test_no_seed_is_refused_before_any_work(world, done, tmp_path):
@@ -168,6 +203,10 @@ def test_table_and_figures_share_their_cells(world, done, tmp_path):
     learned = [event[1] for event in done if event[0] == "learn"]
     assert len(learned) == 4 * 5 - 4
     assert "rail-2-layer-40-seed0" not in learned
+    cells = pd.read_parquet(tmp_path / "cells.parquet")
+    assert len(cells) == (4 * 5 + 4) * N_EPISODES  # the table's dagger, rule and sumo, and the expert, too
+    reproduce.table1(world, tmp_path, seeds=1)
+    pd.testing.assert_frame_equal(cells, pd.read_parquet(tmp_path / "cells.parquet"))
 
 
 @pytest.mark.slow

@@ -6,11 +6,13 @@ import os
 import pickle
 import re
 import sys
+import time
+from pathlib import Path
 
 import numpy as np
 import pytest
 
-from rail_sumo import config, rollout
+from rail_sumo import config, drivers, rollout
 from rail_sumo.config import Config
 from rail_sumo.errors import InputError
 from rail_sumo.highway.env import HighwayEnv
@@ -161,3 +163,50 @@ def test_a_traffic_seed_depends_on_its_key_alone():
     assert traffic_seed(3, rollout.TRAINING, 5, 7) == before
     # Golden: numpy promises that SeedSequence does not change. np.random.SeedSequence(3, spawn_key=(1, 5, 7)), 31 bits.
     assert before == 467158429
+
+
+def test_advised_it_drives_as_it_would_and_the_advice_is_the_advisers_on_what_was_seen():
+    expert = drivers.load_expert(MINUTE)
+    driven, advice = rollout.drive_advised(dataclasses.replace(Task(learned(3), MINUTE, 9), adviser=expert))
+    assert same(driven, drive(Task(learned(3), MINUTE, 9)))
+    assert len(advice) == len(driven.actions)
+    assert not np.array_equal(advice, driven.actions)
+    by_expert = drive(Task(expert, MINUTE, 9))
+    own, advised = by_expert.actions, rollout.drive_advised(Task(expert, MINUTE, 9, adviser=expert))[1]
+    np.testing.assert_array_equal(advised, own)
+
+
+def wait_in_a_worker(started):
+    with workers(2) as pool:
+        started.set()
+        list(pool.map(time.sleep, [60.0, 60.0]))
+
+
+def test_workers_end_with_a_parent_that_was_killed():
+    context = multiprocessing.get_context("spawn")
+    started = context.Event()
+    parent = context.Process(target=wait_in_a_worker, args=(started,))
+    parent.start()
+    assert started.wait(60.0)
+
+    def children():
+        tasks = Path(f"/proc/{parent.pid}/task/{parent.pid}/children").read_text().split()
+        return [pid for pid in map(int, tasks) if "spawn_main" in Path(f"/proc/{pid}/cmdline").read_text()]
+
+    deadline = time.monotonic() + 60.0
+    while len(pids := children()) < 2 and time.monotonic() < deadline:
+        time.sleep(0.1)
+    assert len(pids) == 2
+    time.sleep(1.0)  # for them to begin
+    parent.kill()
+    parent.join()
+    while any(map(alive, pids)) and time.monotonic() < deadline:
+        time.sleep(0.1)
+    assert not any(map(alive, pids))
+
+
+def alive(pid):
+    try:
+        return Path(f"/proc/{pid}/stat").read_text().rsplit(")", 1)[1].split()[0] != "Z"
+    except FileNotFoundError:
+        return False

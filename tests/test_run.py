@@ -32,6 +32,7 @@ def drive(task):
     return Trajectory(
         observations=observations,
         actions=actions,
+        carried_out=actions,
         speed_mps=np.full(201, 15.0 + (actions == 1).sum()),
         lane_changing=np.zeros(200, dtype=np.bool_),
         overtakes=int((actions == 1).sum()),
@@ -253,7 +254,7 @@ def test_resuming_on_other_demonstrations_is_refused(small, trained, tmp_path):
     features = run.feature_names(world.lidar, world.observation)
     others = [drive(rollout.Task("expert", world, seed)) for seed in range(3, 6)]
     Demonstrations.from_trajectories(others).save(tmp_path / "demonstrations.parquet", features=features, about={})
-    with pytest.raises(InputError, match=r"what train\.demonstrations names has changed since run directory"):
+    with pytest.raises(InputError, match=r"the content of train\.demonstrations has changed since run directory"):
         run.train(small, trained, seed=1, resume=True)
 
 
@@ -365,3 +366,25 @@ def test_an_expert_that_cannot_be_asked_is_refused_before_there_is_a_run(small, 
     with pytest.raises(InputError, match="the expert was trained on another observation"):
         run.train(world, tmp_path / "run", seed=1)
     assert not (tmp_path / "run").exists()
+
+
+def test_gail_drives_by_chance_and_rail_does_not(small, driven, tmp_path):
+    for learner, draws in (("gail", True), ("rail", False)):
+        driven.clear()
+        train = small.train.model_copy(update={"learner": learner})
+        run.train(small.model_copy(update={"train": train}), tmp_path / learner, seed=1)
+        practised = [task for task in driven if task.config.episode.duration_s == 20.0]
+        assert {task.driver.draws for task in practised} == {draws}
+
+
+def test_a_search_on_the_environments_reward_reads_no_demonstrations(small, driven, tmp_path):
+    train = small.train.model_copy(update={"learner": "ars", "demonstrations": "none.parquet"})
+    run.train(small.model_copy(update={"train": train}), tmp_path / "run", seed=1)
+
+
+def test_another_expert_to_ask_is_refused(small, driven, tmp_path, monkeypatch):
+    world = small.model_copy(update={"train": small.train.model_copy(update={"learner": "dagger"})})
+    run.train(world, tmp_path / "run", seed=1)
+    monkeypatch.setattr(training.assets, "expert", lambda file, folder=None: tmp_path / "run" / CLONE)
+    with pytest.raises(InputError, match="the content of the shipped expert has changed"):
+        run.train(world, tmp_path / "run", seed=1, resume=True)

@@ -43,11 +43,12 @@ def wrong_everywhere():
     return theta.ravel()
 
 
-def episode(observations, actions, end_reason="duration", seed=0):
+def episode(observations, actions, end_reason="duration", seed=0, carried_out=None):
     """An episode in which only decisions were made."""
     return Trajectory(
         observations=np.asarray(observations, dtype=np.float64),
         actions=np.asarray(actions, dtype=np.int64),
+        carried_out=np.asarray(actions if carried_out is None else carried_out, dtype=np.int64),
         speed_mps=np.full(len(actions) + 1, 20.0),
         lane_changing=np.zeros(len(actions), dtype=np.bool_),
         overtakes=0,

@@ -74,21 +74,27 @@ class Adas:
         back = not self._reversing and self._may_turn_back(host, gaps)
         return [True, False, False, back and self._side == RIGHT, back and self._side == LEFT]
 
-    def decide(self, action: MetaAction, host: HostState, gaps: Callable[[int], Gaps]) -> None:
-        """Take one decision of the supervisor; one that cannot be carried out safely is refused and counted.
+    def decide(self, action: MetaAction, host: HostState, gaps: Callable[[int], Gaps]) -> MetaAction:
+        """Take one decision of the supervisor and return what came of it.
 
-        Near the end of a lane that does not lead on, the layer leaves it of its own accord as soon as it can.
+        A lane change that cannot be carried out safely is refused and counted, and KEEP comes of it; so it does of one
+        that is under way already. Near the end of a lane that does not lead on, the layer leaves it of its own accord
+        as soon as it can.
         """
+        came = action
         step = self._config.speed_step_kmh / KMH
         if action is MetaAction.ACCELERATE:
             self._set_speed = self._clip(host.speed_mps + step)
         elif action is MetaAction.DECELERATE:
             self._set_speed = self._clip(host.speed_mps - step)
-        elif action is not MetaAction.KEEP:
-            self._steer(LEFT if action is MetaAction.LEFT else RIGHT, host, gaps)
+        elif action is not MetaAction.KEEP and not self._steer(
+            LEFT if action is MetaAction.LEFT else RIGHT, host, gaps
+        ):
+            came = MetaAction.KEEP
         way_on = _way_on(host)
         if way_on is not None and self._side is None and self._open(way_on, host, gaps):
             self._begin(way_on, host)
+        return came
 
     def command(self, host: HostState, gaps: Callable[[int], Gaps], *, steps: int) -> Command:
         """Return what to do next, for at most `steps` steps: as many as need no fresh look."""
@@ -100,17 +106,18 @@ class Adas:
     def _clip(self, speed_mps: float) -> float:
         return min(max(speed_mps, self._config.min_speed_kmh / KMH), self._config.max_speed_kmh / KMH)
 
-    def _steer(self, side: Side, host: HostState, gaps: Callable[[int], Gaps]) -> None:
-        if self._side is None:
-            if self._open(side, host, gaps):
-                self._begin(side, host)
-            else:
-                self.refused_decisions += 1
-        elif (side == self._side) == self._reversing:  # the decision turns the movement round
-            if not self._reversing and self._may_turn_back(host, gaps):
-                self._reversing = True
-            else:
-                self.refused_decisions += 1  # no room to turn back, or turned back already: that runs to its end
+    def _steer(self, side: Side, host: HostState, gaps: Callable[[int], Gaps]) -> bool:
+        """Begin a lane change or turn the one under way round, and return whether this was done."""
+        if self._side is None and self._open(side, host, gaps):
+            self._begin(side, host)
+            return True
+        turns_round = self._side is not None and (side == self._side) == self._reversing
+        if turns_round and not self._reversing and self._may_turn_back(host, gaps):
+            self._reversing = True
+            return True
+        if self._side is None or turns_round:  # no gap, no room to turn back, or turned back already
+            self.refused_decisions += 1
+        return False
 
     def _begin(self, side: Side, host: HostState) -> None:
         self._side, self._width, self._moved = side, _across(host, side), 0.0
@@ -220,8 +227,9 @@ class HandsOff:
         """Return that only keeping is allowed: no decision is carried out."""
         return [True, False, False, False, False]
 
-    def decide(self, action: MetaAction, host: HostState, gaps: Callable[[int], Gaps]) -> None:
-        """Ignore the decision."""
+    def decide(self, action: MetaAction, host: HostState, gaps: Callable[[int], Gaps]) -> MetaAction:
+        """Ignore the decision: KEEP comes of it."""
+        return MetaAction.KEEP
 
     def command(self, host: HostState, gaps: Callable[[int], Gaps], *, steps: int) -> Command:
         """Return one step of SUMO's own driving."""

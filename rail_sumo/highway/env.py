@@ -80,6 +80,7 @@ class HighwayEnv(gymnasium.Env[Floats, np.int64]):
         self._overtakes = self._overtaken = 0
         self._observations: list[Floats] = []
         self._actions: list[int] = []
+        self._carried_out: list[int] = []
         self._lane_changing: list[bool] = []
         self._end = None
         self._open(np.random.default_rng(self._seed))
@@ -144,7 +145,7 @@ class HighwayEnv(gymnasium.Env[Floats, np.int64]):
         self._observations.append(self._observation)
         self._actions.append(action)
         host = simulation.host()
-        adas.decide(MetaAction(action), host, simulation.gaps)
+        self._carried_out.append(adas.decide(MetaAction(action), host, simulation.gaps))
         driven = 0
         while True:
             was_changing = adas.changing_lane
@@ -247,6 +248,7 @@ class HighwayEnv(gymnasium.Env[Floats, np.int64]):
         return Trajectory(
             observations=np.array(self._observations),
             actions=np.array(self._actions, dtype=np.int64),
+            carried_out=np.array(self._carried_out, dtype=np.int64),
             speed_mps=np.array(self._simulation.speeds_mps),
             lane_changing=np.array(self._lane_changing, dtype=np.bool_),
             overtakes=self._overtakes,

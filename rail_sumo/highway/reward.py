@@ -54,7 +54,7 @@ def total_reward(trajectory: Trajectory, adas: Adas) -> float:
         overtakes=trajectory.overtakes,
         overtaken=trajectory.overtaken,
         refused_decisions=trajectory.refused_decisions,
-        collisions=trajectory.collisions,
+        collisions=int(trajectory.end_reason == "collision"),
     )
 
 

@@ -50,8 +50,7 @@ class Moments:
     @property
     def whitening(self) -> Whitening:
         """Their mean and standard deviation; the scale is kept where nothing varied or nothing was met."""
-        std = np.sqrt(self.squares / np.maximum(self.count, 1.0))
-        return Whitening(self.mean, np.where(std < 1e-8, 1.0, std))
+        return Whitening.by(self.mean, np.sqrt(self.squares / np.maximum(self.count, 1.0)))
 
 
 @dataclass(frozen=True)

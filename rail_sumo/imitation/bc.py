@@ -6,7 +6,7 @@ from torch.nn import functional
 
 from rail_sumo import config
 from rail_sumo.imitation.demonstrations import Demonstrations
-from rail_sumo.imitation.perceptron import perceptron, single_threaded
+from rail_sumo.imitation.perceptron import flatten, perceptron, single_threaded
 from rail_sumo.policy import N_ACTIONS, Shape, Whitening
 from rail_sumo.records import Floats
 
@@ -50,11 +50,4 @@ def clone(
             adam.zero_grad()
             loss.backward()
             adam.step()
-    return _flatten(network)
-
-
-def _flatten(network: torch.nn.Sequential) -> Floats:
-    """Return the weights as `policy.unflatten` splits them: each layer's matrix with its bias as last column."""
-    layers = [layer for layer in network if isinstance(layer, torch.nn.Linear)]
-    matrices = [torch.column_stack([layer.weight, layer.bias]) for layer in layers]
-    return torch.cat([matrix.flatten() for matrix in matrices]).detach().numpy().astype(np.float64)
+    return flatten(layer for layer in network if isinstance(layer, torch.nn.Linear))

@@ -81,11 +81,11 @@ class Demonstrations:
 
     @classmethod
     def from_trajectories(cls, trajectories: Sequence[Trajectory]) -> "Demonstrations":
-        """Gather driven episodes, at least one, and number them from 0."""
+        """Gather what was seen and carried out in driven episodes, at least one, and number them from 0."""
         lengths = [len(trajectory.actions) for trajectory in trajectories]
         return cls(
             np.concatenate([trajectory.observations for trajectory in trajectories]),
-            np.concatenate([trajectory.actions for trajectory in trajectories]),
+            np.concatenate([trajectory.carried_out for trajectory in trajectories]),
             np.repeat(np.arange(len(trajectories)), lengths),
         )
 

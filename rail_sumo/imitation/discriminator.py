@@ -177,8 +177,12 @@ def _draw(pairs: Tensor, n: int, rng: np.random.Generator) -> Tensor:
 
 
 def _decisions(trajectories: Sequence[Trajectory]) -> tuple[Floats, NDArray[np.int64]]:
-    """Return what was seen and decided in all of them, end to end."""
+    """Return what was seen and carried out in all of them, end to end.
+
+    An expert that is masked never asks for what would be refused. Were the learner judged by what it asks for, lane
+    changes that were refused would count as such, and it would have to drive with fewer than the expert.
+    """
     if not all(len(trajectory.actions) for trajectory in trajectories):
         raise ValueError("a rollout must have at least one decision to be judged by")
     observations = np.concatenate([trajectory.observations for trajectory in trajectories])
-    return observations, np.concatenate([trajectory.actions for trajectory in trajectories])
+    return observations, np.concatenate([trajectory.carried_out for trajectory in trajectories])

@@ -17,12 +17,12 @@ from numpy.typing import NDArray
 from stable_baselines3 import PPO
 from stable_baselines3.common.buffers import RolloutBuffer
 from stable_baselines3.common.logger import Logger
-from stable_baselines3.common.utils import set_random_seed
 
 from rail_sumo import config
+from rail_sumo.errors import InputError
 from rail_sumo.imitation.demonstrations import Demonstrations
 from rail_sumo.imitation.discriminator import JudgeLoss
-from rail_sumo.imitation.perceptron import load_training_state, single_threaded, training_state
+from rail_sumo.imitation.perceptron import flatten, load_training_state, seeded, single_threaded, training_state
 from rail_sumo.policy import N_ACTIONS, Shape, Whitening, unflatten
 from rail_sumo.records import Floats, Trajectory
 
@@ -105,23 +105,24 @@ class Ppo:
         self._whitening = whitening
         self._lowest_reward = lowest_reward
         hidden = [] if shape.hidden is None else [shape.hidden]
-        self._ppo = PPO(
-            "MlpPolicy",
-            _Spaces(shape.n_features),
-            learning_rate=settings.learning_rate,
-            n_steps=settings.batch_size,  # of a buffer that `update` replaces
-            batch_size=settings.batch_size,
-            n_epochs=settings.epochs,
-            gamma=settings.discount,
-            gae_lambda=settings.gae_lambda,
-            ent_coef=settings.entropy,
-            policy_kwargs={
-                "net_arch": {"pi": hidden, "vf": list(settings.critic_hidden)},
-                "activation_fn": torch.nn.Tanh,
-            },
-            seed=int(np.random.SeedSequence(seed, spawn_key=tuple(b"gail")).generate_state(1)[0]),
-            device="cpu",
-        )
+        rng = np.random.default_rng(np.random.SeedSequence(seed, spawn_key=tuple(b"gail")))
+        with seeded(rng):
+            self._ppo = PPO(
+                "MlpPolicy",
+                _Spaces(shape.n_features),
+                learning_rate=settings.learning_rate,
+                n_steps=settings.batch_size,  # of a buffer that `update` replaces
+                batch_size=settings.batch_size,
+                n_epochs=settings.epochs,
+                gamma=settings.discount,
+                gae_lambda=settings.gae_lambda,
+                ent_coef=settings.entropy,
+                policy_kwargs={
+                    "net_arch": {"pi": hidden, "vf": list(settings.critic_hidden)},
+                    "activation_fn": torch.nn.Tanh,
+                },
+                device="cpu",
+            )
         self._ppo.set_logger(Logger(folder=None, output_formats=[]))
         with torch.no_grad():
             for layer, matrix in zip(self._actor(), unflatten(theta, shape), strict=True):
@@ -130,8 +131,7 @@ class Ppo:
 
     def theta(self) -> Floats:
         """Return the policy, laid out as `policy.unflatten` splits it."""
-        matrices = [torch.column_stack([layer.weight, layer.bias]) for layer in self._actor()]
-        return torch.cat([matrix.flatten() for matrix in matrices]).detach().numpy().astype(np.float64)
+        return flatten(self._actor())
 
     @single_threaded()
     def update(
@@ -146,19 +146,24 @@ class Ppo:
         left out: the horizon cut it short. Not so after a collision.
 
         Args:
-            driven: rollouts of the policy, each of two decisions or more.
+            driven: rollouts of the policy; one of a single decision tells nothing.
             rewards: the judge's, of observations (n, n_features) and actions (n,).
             rng: orders the minibatches.
+
+        Raises:
+            InputError: none of the rollouts tells anything.
         """
-        set_random_seed(int(rng.integers(2**32)))
         parts = [self._valued(trajectory, rewards) for trajectory in driven]
         observations, actions, earned, starts, values, log_probs = (
             np.concatenate(column) for column in zip(*parts, strict=True)
         )
+        if not len(actions):
+            raise InputError("no rollout came to two decisions, which GAIL learns from; set a longer train.horizon_s")
         buffer = RolloutBuffer(
             len(actions),
             self._ppo.observation_space,
             self._ppo.action_space,
+            device=self._ppo.device,
             gae_lambda=self._ppo.gae_lambda,
             gamma=self._ppo.gamma,
         )
@@ -168,7 +173,8 @@ class Ppo:
         # The stream ends with a rollout's end: nothing follows that has not been added to its last reward.
         buffer.compute_returns_and_advantage(torch.zeros(1), dones=np.ones(1))
         self._ppo.rollout_buffer = buffer
-        self._ppo.train()
+        with seeded(rng):
+            self._ppo.train()
 
     def state(self) -> dict[str, NDArray[Any]]:
         """Return copies of all that a later update depends on: weights and Adam's moments."""
@@ -194,13 +200,13 @@ class Ppo:
         observations = torch.from_numpy(whitened.astype(np.float32))
         with torch.no_grad():
             values, log_probs, _ = self._ppo.policy.evaluate_actions(observations, torch.from_numpy(trajectory.actions))
-        earned = rewards(trajectory.observations, trajectory.actions)
+        earned = rewards(trajectory.observations, trajectory.carried_out)
         starts = np.arange(len(earned)) == 0
         columns = (observations.numpy(), trajectory.actions, earned, starts, values.numpy()[:, 0], log_probs.numpy())
         if trajectory.end_reason == "collision":
             earned[-1] += self._ppo.gamma / (1 - self._ppo.gamma) * self._lowest_reward
             return columns
-        earned[-2] += self._ppo.gamma * columns[4][-1]
+        earned[-2:-1] += self._ppo.gamma * columns[4][-1]
         return tuple(column[:-1] for column in columns)
 
 

@@ -1,6 +1,7 @@
 """The one kind of network here, fully connected with tanh between its layers; and how training it goes on later."""
 
-from collections.abc import Iterator, Mapping, Sequence
+import random
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from itertools import pairwise
 from typing import Any
@@ -9,6 +10,8 @@ import numpy as np
 import torch
 from numpy.typing import NDArray
 from torch import nn
+
+from rail_sumo.records import Floats
 
 
 def perceptron(sizes: Sequence[int], rng: np.random.Generator) -> nn.Sequential:
@@ -19,6 +22,12 @@ def perceptron(sizes: Sequence[int], rng: np.random.Generator) -> nn.Sequential:
         for n_inputs, n_outputs in pairwise(sizes):
             layers += [nn.Linear(n_inputs, n_outputs), nn.Tanh()]
     return nn.Sequential(*layers[:-1])
+
+
+def flatten(layers: Iterable[nn.Linear]) -> Floats:
+    """Return weights as `policy.unflatten` splits them: each layer's matrix with its bias as last column."""
+    matrices = [torch.column_stack([layer.weight, layer.bias]) for layer in layers]
+    return torch.cat([matrix.flatten() for matrix in matrices]).detach().numpy().astype(np.float64)
 
 
 def training_state(network: nn.Module, adam: torch.optim.Optimizer) -> dict[str, NDArray[Any]]:
@@ -48,6 +57,22 @@ def load_training_state(network: nn.Module, adam: torch.optim.Optimizer, state: 
         adam.state[parameter] = {
             key.removeprefix(prefix): torch.tensor(value) for key, value in state.items() if key.startswith(prefix)
         }
+
+
+@contextmanager
+def seeded(rng: np.random.Generator) -> Iterator[None]:
+    """Let a library that draws from the global generators draw from this one, and put those back after."""
+    before = random.getstate(), np.random.get_state()  # noqa: NPY002  the library's, not ours
+    seed = int(rng.integers(2**32))
+    try:
+        with torch.random.fork_rng(devices=[]):
+            random.seed(seed)
+            np.random.seed(seed)  # noqa: NPY002
+            torch.manual_seed(seed)
+            yield
+    finally:
+        random.setstate(before[0])
+        np.random.set_state(before[1])  # noqa: NPY002
 
 
 @contextmanager
