@@ -208,7 +208,7 @@ class Ars(_Section):
 
 Learner = Literal["rail", "gail", "bc", "dagger", "ars"]
 
-ITERATIONS: dict[Learner, int] = {"rail": 120, "gail": 120, "bc": 0, "dagger": 20, "ars": 120}
+ITERATIONS: dict[Learner, int] = {"rail": 160, "gail": 160, "bc": 0, "dagger": 20, "ars": 160}
 """How many iterations each learner has unless told."""
 
 
@@ -220,7 +220,7 @@ class Train(_Section):
     """`expert` for the shipped expert's own, or a Parquet file that `rail-sumo expert record` wrote."""
     trajectories: Count = 40
     iterations: Annotated[int, Field(ge=0)] | Literal["default"] = "default"
-    """By default 120 of RAIL, GAIL and ARS, 20 of DAgger; behaviour cloning has none."""
+    """By default 160 of RAIL, GAIL and ARS, 20 of DAgger; behaviour cloning has none."""
     horizon_s: Positive = 200.0
     """Length of one training rollout. Much shorter than the demonstrations, and the judge tells young traffic from old
     instead of the learner from the expert."""

@@ -43,7 +43,7 @@ TABLE1 = (("rail", 2), ("rail", 1), ("bc", 2), ("gail", 2), ("dagger", 2), ("rul
 FIGURES = (("rail", 2), ("rail", 1), ("bc", 2), ("gail", 2))
 """The curves of Figures 3 and 4."""
 
-QUICK = {"rail": 30, "gail": 30, "bc": 0, "dagger": 5}
+QUICK = {"rail": 40, "gail": 40, "bc": 0, "dagger": 5}
 """Iterations of an experiment that is to show its shape within minutes: a quarter."""
 
 MADE_OF = b"rail_sumo"
