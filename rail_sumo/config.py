@@ -286,6 +286,11 @@ class Config(_Section):
     train: Train = Train()
     expert: Expert = Expert()
 
+    def resolved(self) -> "Config":
+        """Return it with the number of iterations written out, whatever the default will be one day."""
+        train = self.train.model_copy(update={"iterations": self.train.n_iterations})
+        return self.model_copy(update={"train": train})
+
 
 def load(path: Path | None = None, overrides: Iterable[str] = ()) -> Config:
     """Read a TOML file (all defaults without one) and apply `section.key=value` overrides.

@@ -273,7 +273,7 @@ def _drive(
 def _world(cell: Cell, config: Config, quick: bool) -> Config:
     """Return the configuration that a cell is trained and driven with."""
     if not cell.layers:
-        return config
+        return config.resolved()
     default = config.train.iterations == "default"
     iterations = QUICK[cell.learner] if quick and default else config.train.iterations
     changed = {
@@ -286,7 +286,7 @@ def _world(cell: Cell, config: Config, quick: bool) -> Config:
             "policy": config.policy.model_copy(update={"layers": cell.layers}),
             "train": config.train.model_copy(update=changed),
         }
-    )
+    ).resolved()
 
 
 def _finish(work: _Work) -> pd.DataFrame:

@@ -51,6 +51,7 @@ def learn(
     Raises:
         InputError: as in `run.train`.
     """
+    config = config.resolved()
     run = RunDirectory(out) if resume else None
     if run is None:
         require_new(out)

@@ -91,7 +91,7 @@ def test_csv_and_parquet_hold_the_same(tables, tmp_path):
 
 def test_an_existing_folder_is_refused_and_left_as_it_was(tables, tmp_path):
     (tmp_path / "out").mkdir()
-    with pytest.raises(InputError, match="exists; choose another$"):
+    with pytest.raises(InputError, match=r"exists; choose another$"):
         report.write(tmp_path / "out", **tables)
     assert list(tmp_path.rglob("*")) == [tmp_path / "out"]
 

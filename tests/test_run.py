@@ -388,3 +388,10 @@ def test_another_expert_to_ask_is_refused(small, driven, tmp_path, monkeypatch):
     monkeypatch.setattr(training.assets, "expert", lambda file, folder=None: tmp_path / "run" / CLONE)
     with pytest.raises(InputError, match="the content of the shipped expert has changed"):
         run.train(world, tmp_path / "run", seed=1, resume=True)
+
+
+def test_a_run_keeps_the_number_of_iterations_that_the_default_was(small, driven, tmp_path):
+    train = small.train.model_copy(update={"learner": "dagger", "iterations": "default"})
+    run.train(small.model_copy(update={"train": train}), tmp_path / "run", seed=1)
+    assert RunDirectory(tmp_path / "run").config.train.iterations == 20
+    assert RunDirectory(tmp_path / "run").checkpoint().iteration == 20
