@@ -8,10 +8,11 @@ from rail_sumo import config, run
 from rail_sumo.imitation.discriminator import Judge
 
 SHORT = (
-    "train.iterations=20",
+    "cloning.epochs=20",  # a clone that leaves something to gain
+    "train.iterations=30",
     "search.n_directions=8",
-    "search.n_top=4",
-    "train.evaluation_episodes=24",
+    "search.averaging=0.0",
+    "train.evaluation_episodes=48",
     "train.horizon_s=120",
     "episode.duration_s=180",
 )
