@@ -157,6 +157,20 @@ class Search(_Section):
         """How many directions count."""
         return self.n_directions if self.n_top == "all" else self.n_top
 
+    @property
+    def knobs(self) -> dict[str, Any]:
+        """What `imitation.random_search.RandomSearch` is made with beside theta."""
+        return {
+            "n_directions": self.n_directions,
+            "n_top": self.kept,
+            "step_size": self.step_size,
+            "noise_std": self.noise_std,
+        }
+
+    def step_size_at(self, iteration: int) -> float:
+        """Return the step size of an iteration, the first being number 1."""
+        return self.step_size * self.step_decay ** (iteration - 1)
+
     @model_validator(mode="after")
     def _top(self) -> "Search":
         if self.kept > self.n_directions:

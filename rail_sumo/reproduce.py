@@ -109,8 +109,6 @@ class _Work:
 
     def check(self) -> None:
         """Refuse, before anybody drives, what could not be gone on with."""
-        if self.cell.layers:
-            training.demonstrations_of(self.config)
         if self.run.exists():
             RunDirectory(self.run).require_same(self.config, self.cell.seed, training.inputs_of(self.config))
 
@@ -257,6 +255,7 @@ def _drive(
     drivers.load_expert(config)  # everybody is set beside it
     cells = [Cell(*what, seed) for seed in range(seeds) for what in grid]
     work = [_Work(cell, _world(cell, config, quick), out) for cell in cells]
+    training.demonstrations_of(max(work, key=lambda one: one.cell.trajectories).config)  # are there so many?
     for one in work:
         one.check()
     observer.start("cells", len(cells))

@@ -380,6 +380,7 @@ def test_gail_drives_by_chance_and_rail_does_not(small, driven, tmp_path):
 def test_a_search_on_the_environments_reward_reads_no_demonstrations(small, driven, tmp_path):
     train = small.train.model_copy(update={"learner": "ars", "demonstrations": "none.parquet"})
     run.train(small.model_copy(update={"train": train}), tmp_path / "run", seed=1)
+    assert RunDirectory(tmp_path / "run").checkpoint().iteration == 3
 
 
 def test_another_expert_to_ask_is_refused(small, driven, tmp_path, monkeypatch):

@@ -93,16 +93,10 @@ def train(
         seed: of directions. Every iteration draws from a child of its own.
         first_iteration: the number of the first iteration yielded.
     """
-    ars = RandomSearch(
-        theta,
-        n_directions=search.n_directions,
-        n_top=search.kept,
-        step_size=search.step_size,
-        noise_std=search.noise_std,
-    )
+    ars = RandomSearch(theta, **search.knobs)
     as_they_are = Moments.none(len(moments.mean)).whitening
     for iteration in itertools.count(first_iteration):
-        ars.step_size = search.step_size * search.step_decay ** (iteration - 1)
+        ars.step_size = search.step_size_at(iteration)
         deltas = ars.ask(np.random.default_rng(np.random.SeedSequence(seed, spawn_key=(*b"ars", iteration))))
         whitening = moments.whitening if whiten else as_they_are
         plus, minus = evaluate(ars.theta, whitening, ars.noise_std * deltas, iteration)

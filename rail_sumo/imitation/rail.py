@@ -70,15 +70,9 @@ def train(
             iteration k takes theta, the judge as it then was, and `first_iteration` = k + 1; the result is the same.
         first_iteration: the number of the first iteration yielded.
     """
-    ars = RandomSearch(
-        theta,
-        n_directions=search.n_directions,
-        n_top=search.kept,
-        step_size=search.step_size,
-        noise_std=search.noise_std,
-    )
+    ars = RandomSearch(theta, **search.knobs)
     for iteration in itertools.count(first_iteration):
-        ars.step_size = search.step_size * search.step_decay ** (iteration - 1)
+        ars.step_size = search.step_size_at(iteration)
         rng = np.random.default_rng(np.random.SeedSequence(seed, spawn_key=(*b"rail", iteration)))
         deltas = ars.ask(rng)  # line 2
         plus, minus = evaluate(ars.theta, ars.noise_std * deltas, iteration)  # lines 3-6: same traffic for both
