@@ -192,6 +192,14 @@ class Judge(_Section):
     """How many iterations' learner trajectories the judge is trained on, the newest included."""
 
 
+class Rail(_Section):
+    """What RAIL has beside its search and its judge."""
+
+    reward_weight: NonNegative = 0.0
+    """What a unit of the environment's reward per decision adds to a rollout's return. Above 0 it is no longer
+    imitation alone, and may pass the expert."""
+
+
 class Gail(_Section):
     """Generative adversarial imitation learning: PPO in place of the random search, under the same judge."""
 
@@ -294,6 +302,7 @@ class Config(_Section):
     cloning: Cloning = Cloning()
     search: Search = Search()
     judge: Judge = Judge()
+    rail: Rail = Rail()
     gail: Gail = Gail()
     dagger: Dagger = Dagger()
     ars: Ars = Ars()

@@ -5,6 +5,7 @@ import math
 import time
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, replace
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -116,15 +117,18 @@ class Practice:
 
 def _rail(practice: Practice, checkpoint: Checkpoint, demonstrations: Demonstrations) -> Iterator[Iteration]:
     from rail_sumo.imitation import rail
+    from rail_sumo.imitation.rewarded import Rewarded
 
     run, start = practice.run, checkpoint.learned
     judge = judge_of(run)
+    weight = run.config.rail.reward_weight
+    payer = Rewarded(judge, weight, partial(total_reward, adas=run.config.adas)) if weight else judge
     average = start.theta
     for state in rail.train(
         checkpoint.memory.get(THETA, start.theta),
         demonstrations,
         search=run.config.search,
-        judge=judge,
+        judge=payer,
         evaluate=lambda theta, perturbations, number: practice.pairs(
             replace(start, theta=theta), perturbations, number
         ),
@@ -134,7 +138,7 @@ def _rail(practice: Practice, checkpoint: Checkpoint, demonstrations: Demonstrat
         driven = [*state.plus, *state.minus]
         average = _averaged(average, state.theta, run.config.search.averaging, state.iteration)
         memory = {THETA: state.theta} | _named(JUDGES, judge.state())
-        figures = _verdict(state.judge_loss, judge.returns(driven)) | {"step_norm": state.step_norm}
+        figures = _verdict(state.judge_loss, payer.returns(driven)) | {"step_norm": state.step_norm}
         yield Iteration(replace(start, theta=average), memory, driven, figures)
 
 

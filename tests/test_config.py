@@ -156,7 +156,7 @@ def line(message):
 
 SECTIONS = (
     "network, episode, traffic, lidar, observation, adas, policy, cloning, search, judge, "
-    "gail, dagger, ars, train, expert"
+    "rail, gail, dagger, ars, train, expert"
 )
 POLICY_KEYS = "policy.layers, policy.hidden"
 

@@ -14,6 +14,7 @@ from safetensors.numpy import load_file, save_file
 
 from rail_sumo import config, drivers, rollout, run, training
 from rail_sumo.errors import InputError
+from rail_sumo.highway.reward import total_reward
 from rail_sumo.imitation.demonstrations import Demonstrations
 from rail_sumo.records import Trajectory
 from rail_sumo.run_directory import CHECKPOINT, CLONE, JUDGE, POLICY, PROGRESS, PROGRESS_COLUMNS, RunDirectory
@@ -279,6 +280,18 @@ def test_a_learner_is_set_beside_its_clone_if_it_has_one(small, driven, tmp_path
         world = small.model_copy(update={"train": small.train.model_copy(update={"learner": learner})})
         episodes, _ = run.train(world, tmp_path / learner, seed=1)
         assert list(episodes["policy"].unique()) == [*policies, "expert"]
+
+
+def test_a_reward_that_is_to_count_is_the_environments_by_the_decision(small, driven, tmp_path):
+    returns = []
+    for weight in (0.0, 2.0):
+        driven.clear()
+        world = small.model_copy(update={"rail": config.Rail(reward_weight=weight)})
+        run.train(world, tmp_path / str(weight), seed=1)
+        returns.append(pd.read_csv(tmp_path / str(weight) / PROGRESS)["mean_return"][0])
+    first_iteration = [drive(task) for task in driven[: 2 * small.search.n_directions]]
+    earned = np.mean([total_reward(one, small.adas) / len(one.actions) for one in first_iteration])
+    assert returns[1] - returns[0] == pytest.approx(2.0 * earned)
 
 
 def test_behaviour_cloning_is_the_clone_that_rail_starts_from(small, driven, trained, tmp_path):

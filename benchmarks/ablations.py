@@ -1,0 +1,200 @@
+"""What each choice in RAIL's search and judge is worth: all of them varied at once, each on as many trainings.
+
+    python benchmarks/ablations.py --out runs/ablations [--workers 2]
+
+Every training has its own seed and its own combination of choices, and every choice is taken in half of the trainings,
+beside each of the others equally often (a Plackett-Burman design, folded over: no choice's effect is mixed up with
+another's, nor with any two others' joining). So 24 trainings tell of each choice what 12 against 12 would. The policy
+is driven on traffic that is neither trained on nor evaluated on, the same for all; figures are ratios to the expert's.
+Trainings that are in `out` already are taken from there.
+"""
+
+import argparse
+import itertools
+import math
+import tempfile
+from dataclasses import dataclass, replace
+from pathlib import Path
+from unittest import mock
+
+import numpy as np
+import pandas as pd
+from scipy import stats
+
+from rail_sumo import config, rollout, run, training
+from rail_sumo.files import whole_file
+from rail_sumo.imitation import rail
+from rail_sumo.imitation.random_search import RandomSearch
+
+TRAFFIC = 10**6
+"""The seed of the traffic on which all are compared."""
+FIRST_SEED = 100
+"""Of the trainings, far from those that are reported."""
+SHOWN = ["speed_kmh", "overtakes", "lane_changes", "lateral_reward"]
+
+
+class Ranked(RandomSearch):
+    """Follows the returns' ranks among all 2N, from -1/2 to 1/2, in place of the returns."""
+
+    def tell(self, deltas, returns_plus, returns_minus):
+        ranks = stats.rankdata([*returns_plus, *returns_minus])
+        shaped = (ranks - 1) / (len(ranks) - 1) - 0.5
+        return super().tell(deltas, shaped[: len(deltas)], shaped[len(deltas) :])
+
+
+def clipped_up(search: type[RandomSearch]) -> type[RandomSearch]:
+    """A search with momentum, whose steps have one length and whose velocity has a limit.
+
+    Source: Toklu, Liskowski & Srivastava, "ClipUp" (PPSN 2020). Lengths are chosen so that velocity is about as fast
+    as the steps of the plain search.
+    """
+
+    class ClippedUp(search):
+        velocity = 0.0
+
+        def tell(self, deltas, returns_plus, returns_minus):
+            before = self.theta
+            length = super().tell(deltas, returns_plus, returns_minus)
+            if not length:
+                return length
+            velocity = 0.9 * self.velocity + 5 * self.step_size * (self.theta - before) / length
+            self.velocity = velocity * min(1.0, 10 * self.step_size / np.linalg.norm(velocity))
+            self.theta = before + self.velocity
+            return float(np.linalg.norm(self.velocity))
+
+    return ClippedUp
+
+
+@dataclass(frozen=True)
+class Choice:
+    """What is done by default, and what could be done instead."""
+
+    name: str
+    default: str
+    instead: str
+    override: str = ""
+    """As for --set; empty for what the default configuration leaves no choice about."""
+
+
+RANKS = Choice("shaping", "returns as they are", "their ranks")
+CLIP_UP = Choice("step", "by the gradient", "ClipUp")
+TRAFFICS = Choice("traffic of + and -", "the same", "one each")
+CHOICES = [
+    Choice("search.n_top", "all 16", "8", "search.n_top=8"),
+    Choice("search.step_decay", "0.99", "1", "search.step_decay=1.0"),
+    Choice("search.step_size", "0.05", "0.1", "search.step_size=0.1"),
+    Choice("search.noise_std", "0.1", "0.05", "search.noise_std=0.05"),
+    RANKS,
+    CLIP_UP,
+    TRAFFICS,
+    Choice("judge.gradient_penalty", "0.02", "0.2", "judge.gradient_penalty=0.2"),
+    Choice("judge.replay_iterations", "3", "1", "judge.replay_iterations=1"),
+    Choice("judge.minibatches", "10", "30", "judge.minibatches=30"),
+    Choice("policy.hidden", "32", "64", "policy.hidden=64"),
+    Choice("cloning.epochs", "100", "300", "cloning.epochs=300"),
+]
+
+
+def design() -> np.ndarray:
+    """Whether a training (row) takes the other way in a choice (column): 24 rows, 12 columns.
+
+    Source: Plackett & Burman (1946): a generating row of 11, turned round, and a row of lows.
+    """
+    generator = [1, 1, -1, 1, 1, 1, -1, -1, -1, 1, -1]
+    rows = np.vstack([*(np.roll(generator, shift) for shift in range(11)), np.full(11, -1)])
+    rows = np.hstack([rows, np.ones((12, 1))])
+    return np.vstack([rows, -rows]) > 0
+
+
+@dataclass(frozen=True)
+class Training:
+    """One row of the design."""
+
+    number: int
+    taken: frozenset[str]
+    """The choices in which it goes the other way."""
+    iterations: int
+    episodes: int
+
+
+def train(this: Training) -> pd.DataFrame:
+    """Train with the choices taken; a row for the running average of theta, and one for the last theta."""
+    overrides = [choice.override for choice in CHOICES if choice.name in this.taken and choice.override]
+    world = config.load(None, [*overrides, "train.iterations=0"])
+    seed = FIRST_SEED + this.number
+    with tempfile.TemporaryDirectory() as folder:
+        begun = training.learn(world, Path(folder) / "run", seed=seed)
+        clone, judge, demonstrations = begun.clone, training.judge_of(begun), training.demonstrations_of(world)
+    episode = world.episode.model_copy(update={"course_m": math.inf, "duration_s": world.train.horizon_s})
+    practice = world.model_copy(update={"episode": episode})
+
+    def evaluate(theta, perturbations, iteration):
+        thetas = [*(theta + perturbations), *(theta - perturbations)]
+        numbers = range(len(thetas)) if TRAFFICS.name in this.taken else [*range(len(perturbations))] * 2
+        seeds = [rollout.traffic_seed(seed, rollout.TRAINING, iteration, number) for number in numbers]
+        tasks = map(rollout.Task, [replace(clone, theta=one) for one in thetas], itertools.repeat(practice), seeds)
+        driven = list(map(rollout.drive, tasks))
+        return driven[: len(perturbations)], driven[len(perturbations) :]
+
+    search = Ranked if RANKS.name in this.taken else RandomSearch
+    search = clipped_up(search) if CLIP_UP.name in this.taken else search
+    with mock.patch.object(rail, "RandomSearch", search):
+        states = rail.train(clone.theta, demonstrations, search=world.search, judge=judge, evaluate=evaluate, seed=seed)
+        thetas = [state.theta for state in itertools.islice(states, this.iterations)]
+    weights = world.search.averaging ** np.arange(this.iterations)[::-1]
+    average = np.average(thetas, axis=0, weights=weights)
+    policies = {"average": replace(clone, theta=average), "last": replace(clone, theta=thetas[-1]), "clone": clone}
+    table, _ = run.evaluate(
+        {**policies, "expert": run.find_driver("expert", world)}, world, episodes=this.episodes, seed=TRAFFIC
+    )
+    means = table.groupby("policy", sort=False)[[*SHOWN, "collisions"]].mean()
+    ratios = means.loc[list(policies)].assign(**means[SHOWN].loc[list(policies)] / means[SHOWN].loc["expert"])
+    taken = {choice.name: choice.name in this.taken for choice in CHOICES}
+    return ratios.reset_index().assign(number=this.number, **taken)
+
+
+def effects(trainings: pd.DataFrame, metric: str) -> pd.DataFrame:
+    """What the other way adds to a metric, with its 95 % interval: least squares with a term for every choice."""
+    signs = trainings[[choice.name for choice in CHOICES]].to_numpy() * 2.0 - 1.0
+    terms = np.column_stack([np.ones(len(signs)), signs])
+    values = trainings[metric].to_numpy()
+    solved, *_ = np.linalg.lstsq(terms, values)
+    freedom = len(values) - terms.shape[1]
+    error = np.sqrt(((values - terms @ solved) ** 2).sum() / freedom / len(values))
+    reach = 2 * error * stats.t.ppf(0.975, freedom)
+    effect = 2 * solved[1:]
+    return pd.DataFrame({"effect": effect, "low": effect - reach, "high": effect + reach}, [c.name for c in CHOICES])
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--out", type=Path, required=True)
+    parser.add_argument("--iterations", type=int, default=100)
+    parser.add_argument("--episodes", type=int, default=48, help="of each policy's evaluation")
+    parser.add_argument("--workers", type=int, default=2)
+    given = parser.parse_args()
+    given.out.mkdir(parents=True, exist_ok=True)
+    names = np.array([choice.name for choice in CHOICES])
+    trainings = [
+        Training(number, frozenset(names[row]), given.iterations, given.episodes) for number, row in enumerate(design())
+    ]
+    files = {this.number: given.out / f"training{this.number}.csv" for this in trainings}
+    missing = [this for this in trainings if not files[this.number].exists()]
+    with rollout.workers(given.workers) as pool:
+        for this, rows in zip(missing, pool.map(train, missing), strict=True):
+            with whole_file(files[this.number]) as part:
+                rows.to_csv(part, index=False)
+            print(rows.iloc[:, :6].round(3).to_string(index=False, header=this is missing[0]), flush=True)
+    done = pd.concat(pd.read_csv(file) for file in files.values())
+    for policy, rows in done.groupby("policy"):
+        print(f"\n{policy}: " + ", ".join(f"{name} {rows[name].mean():.3f}" for name in [*SHOWN, "collisions"]))
+    for metric in SHOWN:
+        print(f"\n{metric}, ratio to the expert's: what the other way adds")
+        table = effects(done[done["policy"] == "average"], metric).assign(
+            default=[choice.default for choice in CHOICES], instead=[choice.instead for choice in CHOICES]
+        )
+        print(table.round(3).to_string())
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,96 @@
+"""How many steps and seconds RAIL and GAIL take until they drive as fast as the expert, or nearly.
+
+    python benchmarks/efficiency.py --out runs/efficiency [--seeds 10] [--iterations 60] [--every 4] [--workers 2]
+
+Either learner starts from the same clone. Every so often its policy is driven on traffic that is neither trained nor
+evaluated on, the same for all, and its mean speed set beside the expert's; it has got there when it keeps the share
+over two such looks, of which the first counts. Looking is not timed. A training that never gets there counts as
+longer than all others, and so a median over trainings stands as long as more than half of them get there.
+"""
+
+import argparse
+import itertools
+import tempfile
+import time
+from pathlib import Path
+
+import numpy as np
+import pandas as pd
+
+from rail_sumo import config, rollout, run, training
+from rail_sumo.files import whole_file
+
+LEARNERS = ("rail", "gail")
+SHARES = (0.95, 0.97, 0.98, 0.99)
+TRAFFIC = 10**6 + 1
+"""The seed of the traffic they are looked at on."""
+FIRST_SEED = 200
+EPISODES = 24
+
+
+def learning_curve(given: tuple[str, int, int, int]) -> pd.DataFrame:
+    """A row per look: how far training was, and the policy's speed over the expert's on the same traffic."""
+    learner, seed, n_iterations, every = given
+    world = config.load(None, [f"train.learner={learner}", "train.iterations=0"])
+
+    def speed(driver) -> float:
+        episodes, _ = run.evaluate({"": driver}, world, episodes=EPISODES, seed=TRAFFIC)
+        return episodes["speed_kmh"].mean()
+
+    expert = speed(run.find_driver("expert", world))
+    looks = []
+    with tempfile.TemporaryDirectory() as folder, rollout.workers(1) as pool:
+        begun = training.learn(world, Path(folder) / "run", seed=FIRST_SEED + seed)
+        iterations = training.LEARNERS[learner](
+            training.Practice(begun, pool), begun.checkpoint(), training.demonstrations_of(world)
+        )
+        looks.append({"iteration": 0, "steps": 0, "seconds": 0.0, "speed": speed(begun.clone) / expert})
+        steps, seconds = 0, 0.0
+        for number in range(1, n_iterations + 1):
+            started = time.perf_counter()
+            iteration = next(iterations)
+            seconds += time.perf_counter() - started
+            steps += sum(len(trajectory.lane_changing) for trajectory in iteration.driven)
+            if number % every == 0:
+                share = speed(iteration.learned) / expert
+                looks.append({"iteration": number, "steps": steps, "seconds": seconds, "speed": share})
+    return pd.DataFrame(looks).assign(learner=learner, seed=seed)
+
+
+def got_there(curve: pd.DataFrame, share: float) -> pd.Series:
+    """Iteration, steps and seconds of the first of two looks in a row that show the share; inf without such."""
+    shown = curve["speed"].to_numpy() >= share
+    first = np.flatnonzero(shown[:-1] & shown[1:])
+    columns = ["iteration", "steps", "seconds"]
+    return curve.iloc[first[0]][columns] if len(first) else pd.Series(np.inf, columns)
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--out", type=Path, required=True)
+    parser.add_argument("--seeds", type=int, default=10)
+    parser.add_argument("--iterations", type=int, default=60)
+    parser.add_argument("--every", type=int, default=4, help="iterations between looks")
+    parser.add_argument("--workers", type=int, default=2)
+    given = parser.parse_args()
+    given.out.mkdir(parents=True, exist_ok=True)
+    cells = [(learner, seed) for seed, learner in itertools.product(range(given.seeds), LEARNERS)]
+    files = {cell: given.out / f"{cell[0]}{cell[1]}.csv" for cell in cells}
+    missing = [cell for cell in cells if not files[cell].exists()]
+    with rollout.workers(given.workers) as pool:
+        curves = pool.map(learning_curve, [(*cell, given.iterations, given.every) for cell in missing])
+        for cell, curve in zip(missing, curves, strict=True):
+            with whole_file(files[cell]) as part:
+                curve.to_csv(part, index=False)
+            print(f"{cell[0]}, seed {cell[1]}: " + " ".join(f"{speed:.3f}" for speed in curve["speed"]), flush=True)
+    curves = pd.concat([pd.read_csv(file) for file in files.values()]).groupby(["learner", "seed"], sort=False)
+    for share in SHARES:
+        reached = curves.apply(got_there, share).unstack("learner")
+        medians = reached.median().unstack("learner")
+        n_reached = np.isfinite(reached["seconds"]).sum().to_dict()
+        print(f"\n{share:.0%} of the expert's speed, medians; reached by {n_reached} of {given.seeds}")
+        print(medians.round(1).to_string())
+
+
+if __name__ == "__main__":
+    main()

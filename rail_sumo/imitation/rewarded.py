@@ -1,0 +1,34 @@
+"""A judge that also pays what driving is worth: what RAIL learns from it is no longer imitation alone."""
+
+from collections.abc import Callable, Sequence
+
+import numpy as np
+
+from rail_sumo.imitation.demonstrations import Demonstrations
+from rail_sumo.imitation.discriminator import JudgeLoss
+from rail_sumo.imitation.rail import Judge
+from rail_sumo.records import Floats, Trajectory
+
+
+class Rewarded:
+    """Adds the environment's reward to another judge's returns, so that a learner may pass its expert.
+
+    Args:
+        judge: tells expert from learner.
+        weight: what a unit of reward adds.
+        reward: what a rollout earned.
+    """
+
+    def __init__(self, judge: Judge, weight: float, reward: Callable[[Trajectory], float]) -> None:
+        self._judge = judge
+        self._weight = weight
+        self._reward = reward
+
+    def fit(self, expert: Demonstrations, learner: Sequence[Trajectory], rng: np.random.Generator) -> JudgeLoss:
+        """Have the judge learn; the reward is what it is."""
+        return self._judge.fit(expert, learner, rng)
+
+    def returns(self, trajectories: Sequence[Trajectory]) -> Floats:
+        """Return the judge's return of each rollout plus its weighted reward per decision, shape (n_trajectories,)."""
+        earned = np.array([self._reward(trajectory) / len(trajectory.actions) for trajectory in trajectories])
+        return self._judge.returns(trajectories) + self._weight * earned
