@@ -25,7 +25,7 @@ from rail_sumo.files import check_folder, whole_file
 from rail_sumo.records import EPISODE_COLUMNS, Floats
 from rail_sumo.rollout import SILENT, Observer, WorkerCount
 from rail_sumo.run_directory import RunDirectory
-from rail_sumo.statistics import interval, iqm, probability_of_improvement, ratio_of_iqms
+from rail_sumo.statistics import interval, iqm, mean_difference, probability_of_improvement, ratio_of_iqms
 
 TRAJECTORIES = (1, 5, 10, 20, 40)
 METRICS = ("speed_kmh", "overtakes", "lane_changes", "longitudinal_reward", "lateral_reward")
@@ -63,6 +63,9 @@ TABLE_COLUMNS = {
     "ratio": "float64",
     "ratio_low": "float64",
     "ratio_high": "float64",
+    "difference": "float64",
+    "difference_low": "float64",
+    "difference_high": "float64",
     "above_expert": "float64",
     "paper": "float64",
     "paper_ratio": "float64",
@@ -176,8 +179,8 @@ def compare(cells: pd.DataFrame) -> pd.DataFrame:
     """Return each learner's figures over its seeds and episodes, beside the expert's on the same traffic.
 
     `low` and `high` are the 95 % interval of the interquartile mean over seeds and episodes, `ratio` is that mean over
-    the expert's, `above_expert` the probability that an episode of the learner has a greater value than one of the
-    expert.
+    the expert's, `difference` the mean of learner minus expert, episode by episode on the same traffic, `above_expert`
+    the probability that an episode of the learner has a greater value than one of the expert.
     """
     expert = cells[cells["learner"] == report.EXPERT]
     rows: list[dict[str, Any]] = []
@@ -186,6 +189,7 @@ def compare(cells: pd.DataFrame) -> pd.DataFrame:
             scores, reference = _scores(driven, metric), _scores(expert, metric)
             low, high = interval(iqm, scores)
             ratio, ratio_low, ratio_high = _against(driven, expert, metric)
+            difference_low, difference_high = interval(mean_difference, scores, reference)
             at = METRICS.index(metric)
             paper = PAPER[learner, layers][at] if (learner, layers) in PAPER else np.nan
             rows.append({
@@ -199,6 +203,9 @@ def compare(cells: pd.DataFrame) -> pd.DataFrame:
                 "ratio": ratio,
                 "ratio_low": ratio_low,
                 "ratio_high": ratio_high,
+                "difference": mean_difference(scores, reference),
+                "difference_low": difference_low,
+                "difference_high": difference_high,
                 "above_expert": probability_of_improvement(scores, reference),
                 "paper": paper,
                 "paper_ratio": paper / PAPER[report.EXPERT, 0][at],

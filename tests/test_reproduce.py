@@ -67,6 +67,8 @@ def test_every_row_of_the_table_is_there_beside_the_papers(world, done, tmp_path
     assert speeds.loc[("rail", 1), "mean"] == 60 + 2 + 4 + 1.5
     assert speeds.loc[("rail", 2), "ratio"] == pytest.approx(69.5 / 71.5, abs=1e-6)
     assert speeds.loc[("expert", 0), ["ratio", "ratio_low", "ratio_high"]].tolist() == [1.0, 1.0, 1.0]
+    difference = ["difference", "difference_low", "difference_high"]
+    assert speeds.loc[("rail", 1), difference].tolist() == pytest.approx([66.0 - 70.0] * 3)  # on any traffic
     assert speeds.loc[("expert", 0), "above_expert"] == 0.5
     assert speeds.loc[("rail", 2), ["paper", "paper_ratio"]].tolist() == [70.38, pytest.approx(1.022519, abs=1e-6)]
     assert np.isnan(speeds.loc[("gail", 2), "paper"])
