@@ -6,12 +6,11 @@ Every training has its own seed and its own combination of choices, and every ch
 beside each of the others equally often (a Plackett-Burman design, folded over: no choice's effect is mixed up with
 another's, nor with any two others' joining). So 24 trainings tell of each choice what 12 against 12 would. The policy
 is driven on traffic that is neither trained on nor evaluated on, the same for all; figures are ratios to the expert's.
-Trainings that are in `out` already are taken from there.
+Trainings of as many iterations and episodes that are in `out` already are taken from there.
 """
 
 import argparse
 import itertools
-import math
 import tempfile
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -122,28 +121,29 @@ def train(this: Training) -> pd.DataFrame:
     overrides = [choice.override for choice in CHOICES if choice.name in this.taken and choice.override]
     world = config.load(None, [*overrides, "train.iterations=0"])
     seed = FIRST_SEED + this.number
-    with tempfile.TemporaryDirectory() as folder:
-        begun = training.learn(world, Path(folder) / "run", seed=seed)
-        clone, judge, demonstrations = begun.clone, training.judge_of(begun), training.demonstrations_of(world)
-    episode = world.episode.model_copy(update={"course_m": math.inf, "duration_s": world.train.horizon_s})
-    practice = world.model_copy(update={"episode": episode})
-
-    def evaluate(theta, perturbations, iteration):
-        thetas = [*(theta + perturbations), *(theta - perturbations)]
-        numbers = range(len(thetas)) if TRAFFICS.name in this.taken else [*range(len(perturbations))] * 2
-        seeds = [rollout.traffic_seed(seed, rollout.TRAINING, iteration, number) for number in numbers]
-        tasks = map(rollout.Task, [replace(clone, theta=one) for one in thetas], itertools.repeat(practice), seeds)
-        driven = list(map(rollout.drive, tasks))
-        return driven[: len(perturbations)], driven[len(perturbations) :]
-
     search = Ranked if RANKS.name in this.taken else RandomSearch
     search = clipped_up(search) if CLIP_UP.name in this.taken else search
-    with mock.patch.object(rail, "RandomSearch", search):
-        states = rail.train(clone.theta, demonstrations, search=world.search, judge=judge, evaluate=evaluate, seed=seed)
-        thetas = [state.theta for state in itertools.islice(states, this.iterations)]
-    weights = world.search.averaging ** np.arange(this.iterations)[::-1]
-    average = np.average(thetas, axis=0, weights=weights)
-    policies = {"average": replace(clone, theta=average), "last": replace(clone, theta=thetas[-1]), "clone": clone}
+    with (
+        tempfile.TemporaryDirectory() as folder,
+        rollout.workers(1) as pool,
+        mock.patch.object(rail, "RandomSearch", search),
+    ):
+        begun = training.learn(world, Path(folder) / "run", seed=seed)
+        clone, practice = begun.clone, training.Practice(begun, pool)
+        states = rail.train(
+            clone.theta,
+            training.demonstrations_of(world),
+            search=world.search,
+            judge=training.judge_of(begun),
+            evaluate=lambda theta, perturbations, number: practice.pairs(
+                replace(clone, theta=theta), perturbations, number, shared_traffic=TRAFFICS.name not in this.taken
+            ),
+            seed=seed,
+        )
+        average = clone.theta
+        for state in itertools.islice(states, this.iterations):
+            average = training.averaged(average, state.theta, world.search.averaging, state.iteration)
+    policies = {"average": replace(clone, theta=average), "last": replace(clone, theta=state.theta), "clone": clone}
     table, _ = run.evaluate(
         {**policies, "expert": run.find_driver("expert", world)}, world, episodes=this.episodes, seed=TRAFFIC
     )
@@ -178,7 +178,8 @@ def main() -> None:
     trainings = [
         Training(number, frozenset(names[row]), given.iterations, given.episodes) for number, row in enumerate(design())
     ]
-    files = {this.number: given.out / f"training{this.number}.csv" for this in trainings}
+    settings = f"{given.iterations}-iterations-{given.episodes}-episodes"
+    files = {this.number: given.out / f"training{this.number}-{settings}.csv" for this in trainings}
     missing = [this for this in trainings if not files[this.number].exists()]
     with rollout.workers(given.workers) as pool:
         for this, rows in zip(missing, pool.map(train, missing), strict=True):

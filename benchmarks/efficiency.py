@@ -19,6 +19,7 @@ import pandas as pd
 
 from rail_sumo import config, rollout, run, training
 from rail_sumo.files import whole_file
+from rail_sumo.imitation import gail  # noqa: F401  importing it takes seconds, which are nobody's training
 
 LEARNERS = ("rail", "gail")
 SHARES = (0.95, 0.97, 0.98, 0.99)
@@ -75,7 +76,8 @@ def main() -> None:
     given = parser.parse_args()
     given.out.mkdir(parents=True, exist_ok=True)
     cells = [(learner, seed) for seed, learner in itertools.product(range(given.seeds), LEARNERS)]
-    files = {cell: given.out / f"{cell[0]}{cell[1]}.csv" for cell in cells}
+    settings = f"{given.iterations}-iterations-every-{given.every}"
+    files = {cell: given.out / f"{cell[0]}{cell[1]}-{settings}.csv" for cell in cells}
     missing = [cell for cell in cells if not files[cell].exists()]
     with rollout.workers(given.workers) as pool:
         curves = pool.map(learning_curve, [(*cell, given.iterations, given.every) for cell in missing])

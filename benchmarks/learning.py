@@ -87,13 +87,15 @@ def control(folder: Path, iterations: int, episodes: int) -> None:
             return np.array([metrics.row(trajectory, world.adas)["speed_kmh"] for trajectory in driven])
 
         by_clone = speeds(clone)
-        contenders = {"rail's judge, the whole training": speeds(learned.policy(world))}
+        contenders = {f"rail's judge, {world.train.n_iterations} iterations": speeds(learned.policy(world))}
         for name, judge in (("constant judge", Indifferent()), ("coin toss", CoinToss())):
             states = rail.train(
                 clone.theta, none, search=world.search, judge=judge, evaluate=evaluate, seed=learned.seed
             )
-            theta = next(itertools.islice(states, iterations - 1, None)).theta
-            contenders[name] = speeds(replace(clone, theta=theta))
+            average = clone.theta
+            for state in itertools.islice(states, iterations):
+                average = training.averaged(average, state.theta, world.search.averaging, state.iteration)
+            contenders[f"{name}, {iterations} iterations"] = speeds(replace(clone, theta=average))
     print(f"clone: {by_clone.mean():.2f} km/h over {episodes} held-out episodes")
     for name, speed in contenders.items():
         test = stats.permutation_test(
@@ -108,7 +110,7 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("folder", type=Path, help="what rail-sumo reproduce wrote")
     parser.add_argument("--control", action="store_true", help="the negative control instead, on seed 0")
-    parser.add_argument("--iterations", type=int, default=30, help="of the control")
+    parser.add_argument("--iterations", type=int, default=160, help="of the control")
     parser.add_argument("--episodes", type=int, default=16, help="of the control")
     given = parser.parse_args()
     if given.control:

@@ -26,7 +26,7 @@ FIGURES = {
 }
 
 
-def correlations(learned: RunDirectory, noise_std: float, n_directions: int, pool, judge) -> pd.DataFrame:
+def correlations(learned: RunDirectory, noise_std: float, n_directions: int, pool, payer) -> pd.DataFrame:
     """Correlations over directions: rows are figures on one traffic, columns figures on the other."""
     policy = learned.checkpoint().learned
     deltas = np.random.default_rng(0).standard_normal((n_directions, policy.shape.size))
@@ -35,7 +35,7 @@ def correlations(learned: RunDirectory, noise_std: float, n_directions: int, poo
     for traffic in (-1, -2):  # no training's iterations
         plus, minus = practice.pairs(policy, noise_std * deltas, 2**31 + traffic)
         differences.append(
-            [(figure or judge.returns)(plus) - (figure or judge.returns)(minus) for figure in FIGURES.values()]
+            [(figure or payer.returns)(plus) - (figure or payer.returns)(minus) for figure in FIGURES.values()]
         )
     one, other = differences
     across = np.corrcoef(one, other)[: len(FIGURES), len(FIGURES) :]
@@ -63,11 +63,12 @@ def main() -> None:
     given = parser.parse_args()
     learned = RunDirectory(given.run)
     judge = training.judge_of(learned)
+    payer = training.paid_by(judge, learned.config)
     for whose, mean in verdicts(learned, judge, given.workers).items():
         print(f"the judge's mean verdict on {whose}: {mean:.3f}")
     with rollout.workers(given.workers) as pool:
         for noise_std in given.noise:
-            table = correlations(learned, noise_std, given.directions, pool, judge)
+            table = correlations(learned, noise_std, given.directions, pool, payer)
             print(f"\nnoise_std {noise_std}, {given.directions} directions:\n{table.round(2).to_string()}", flush=True)
 
 

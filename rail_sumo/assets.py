@@ -14,6 +14,7 @@ ROUTES_SUFFIX = ".rou.xml"
 MANIFEST = "manifest.json"
 """Names an expert's files with their SHA-256, and tells how it was made."""
 EXPERT_POLICY = "policy.safetensors"
+EXPERT_RECIPE = "config.toml"
 EXPERT_DEMONSTRATIONS = "demonstrations.parquet"
 
 _PACKAGE = Path(__file__).parent

@@ -193,7 +193,7 @@ def record(
     workers: Workers = "",
     overwrite: Overwrite = False,
 ) -> None:
-    """Record what a driver sees and decides, for `train.demonstrations` to learn from."""
+    """Record what a driver sees and carries out, for `train.demonstrations` to learn from."""
     from rail_sumo import run
 
     world = _configuration(config_file, overrides)

@@ -3,7 +3,7 @@
 import difflib
 import math
 import tomllib
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterable, Iterator, Mapping
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
@@ -314,6 +314,26 @@ class Config(_Section):
         train = self.train.model_copy(update={"iterations": self.train.n_iterations})
         return self.model_copy(update={"train": train})
 
+    def practice(self, horizon_s: float) -> "Config":
+        """Return the same world with episodes that only time ends, as learners train in it."""
+        episode = self.episode.model_copy(update={"course_m": math.inf, "duration_s": horizon_s})
+        return self.model_copy(update={"episode": episode})
+
+    def flat(self) -> dict[str, Any]:
+        """Return every key as `section.key`, with its value."""
+        tree = self.model_dump()
+        return {f"{section}.{key}": value for section, values in tree.items() for key, value in values.items()}
+
+    @property
+    def sensing(self) -> dict[str, Any]:
+        """What an observation's numbers mean, `section.key` by `section.key`."""
+        return {key: value for key, value in self.flat().items() if key.startswith(("lidar.", "observation."))}
+
+    @property
+    def demonstrating(self) -> dict[str, Any]:
+        """What demonstrations must share with those who learn from them: the sensing, and how often to decide."""
+        return self.sensing | {"episode.decision_period_s": self.episode.decision_period_s}
+
 
 def load(path: Path | None = None, overrides: Iterable[str] = ()) -> Config:
     """Read a TOML file (all defaults without one) and apply `section.key=value` overrides.
@@ -342,6 +362,25 @@ def validate(tree: dict[str, Any]) -> Config:
         return Config.model_validate_json(_json(tree))
     except ValidationError as error:
         raise InputError(_explain(error)) from None
+
+
+def recorded(text: str) -> Config:
+    """Return what TOML that `dumps` wrote, maybe long ago, says about sensing and deciding; the rest is default.
+
+    Raises:
+        InputError: it is not TOML, or says something else.
+    """
+    try:
+        tree = tomllib.loads(text)
+    except tomllib.TOMLDecodeError as error:
+        raise InputError(f"configuration is not valid TOML: {error}") from None
+    return validate({name: tree[name] for name in ("lidar", "observation", "episode") if name in tree})
+
+
+def difference(given: Mapping[str, Any], wanted: Mapping[str, Any]) -> str:
+    """Return the first key in which two sets of keys differ, with both values; empty if in none."""
+    found = ((key, value, wanted[key]) for key, value in given.items() if wanted[key] != value)
+    return next((f"{key} = {value}, not {other}" for key, value, other in found), "")
 
 
 def dumps(config: Config) -> str:

@@ -1,6 +1,5 @@
 """Drivers that learn nothing here: keep, random, rule, SUMO's own, and the shipped expert."""
 
-import json
 import math
 from collections.abc import Sequence
 from pathlib import Path
@@ -10,10 +9,9 @@ import numpy as np
 from safetensors import safe_open
 
 from rail_sumo import assets
-from rail_sumo.config import Adas, Config
+from rail_sumo.config import Adas, Config, difference, recorded
 from rail_sumo.errors import InputError, ObservationError, did_you_mean
 from rail_sumo.highway.env import HighwayEnv
-from rail_sumo.highway.observation import feature_names
 from rail_sumo.policy import Policy
 from rail_sumo.records import KMH, Floats, Gaps, MetaAction
 
@@ -159,17 +157,17 @@ def load_expert(config: Config, folder: Path | None = None) -> Expert:
     """Return the shipped expert, or the one in `folder` that `rail-sumo expert train` wrote.
 
     Raises:
-        ObservationError: it was trained on another observation than the configuration gives.
+        ObservationError: it was trained with other sensing than the configuration's.
         InputError: it is missing or damaged.
     """
     with safe_open(assets.expert(assets.EXPERT_POLICY, folder), framework="numpy") as file:
-        trained_on = json.loads(file.metadata()["features"])
         n_layers = len(file.keys()) // 2
         layers = [(file.get_tensor(f"{i}.weight"), file.get_tensor(f"{i}.bias")) for i in range(n_layers)]
-    given = feature_names(config.lidar, config.observation)
-    if given != trained_on:
+    recipe = recorded(assets.expert(assets.EXPERT_RECIPE, folder).read_text(encoding="utf-8"))
+    apart = difference(recipe.sensing, config.sensing)
+    if apart:
         raise ObservationError(
-            f"the expert was trained on another observation ({len(trained_on)} features) than [lidar] and "
-            f"[observation] give ({len(given)}); use the default ones or train an expert: rail-sumo expert train"
+            f"the expert was trained with {apart}; leave [lidar] and [observation] as in its recipe, or train an "
+            f"expert: rail-sumo expert train"
         )
     return Expert(layers)

@@ -9,14 +9,14 @@ from pathlib import Path
 from safetensors.numpy import save_file
 
 from rail_sumo import report, run
-from rail_sumo.assets import EXPERT_DEMONSTRATIONS, EXPERT_POLICY, MANIFEST, sha256
+from rail_sumo.assets import EXPERT_DEMONSTRATIONS, EXPERT_POLICY, EXPERT_RECIPE, MANIFEST, sha256
 from rail_sumo.config import Config, dumps
 from rail_sumo.drivers import Expert
 from rail_sumo.files import check_folder, whole_folder
 from rail_sumo.highway.observation import feature_names
 from rail_sumo.records import Floats
 from rail_sumo.rollout import EXPERT, traffic_seed
-from rail_sumo.run_directory import CONFIG, own_version
+from rail_sumo.run_directory import own_version
 
 
 def train(
@@ -60,7 +60,7 @@ def train(
         report.write(whole, episodes=tables[0], summary=tables[1], overwrite=True)
         features = feature_names(config.lidar, config.observation)
         save_file(_tensors(expert), whole / EXPERT_POLICY, metadata={"features": json.dumps(features)})
-        (whole / CONFIG).write_text(dumps(config), encoding="utf-8")
+        (whole / EXPERT_RECIPE).write_text(dumps(config), encoding="utf-8")
         demonstrations.save(whole / EXPERT_DEMONSTRATIONS, features=features, about=about)
         (whole / MANIFEST).write_text(_manifest(whole, tables, seed), encoding="utf-8")
     return tables

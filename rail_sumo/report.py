@@ -12,10 +12,13 @@ from rich.table import Table
 
 from rail_sumo.files import whole_folder
 from rail_sumo.records import EPISODE_COLUMNS, METRICS, SUMMARY_COLUMNS, Floats
-from rail_sumo.statistics import interval, iqm
+from rail_sumo.statistics import interval, iqm, share_interval
 
 EXPERT = "expert"
 """The policy that ratios refer to."""
+
+CONTACTS = ("collisions", "struck")
+"""Metrics that are 0 in nearly every episode."""
 
 DECIMALS = 6
 """Tables are rounded to this: finer than any simulation means, and any CSV reader gives back the very same number."""
@@ -30,9 +33,9 @@ def summary(episodes: pd.DataFrame) -> pd.DataFrame:
     """Return the `summary` table: a row per policy and metric, over that policy's episodes.
 
     `iqm` is the interquartile mean (the mean of the middle half of the episodes), `low` and `high` its 95 %
-    percentile-bootstrap interval over episodes (see `statistics`).
-    `ratio_to_expert` is the ratio of the means; every policy drives on the same traffic, so it is a paired
-    comparison. It is NaN where the expert was not evaluated beside or its mean is 0.
+    percentile-bootstrap interval over episodes (see `statistics`). Of `collisions` and `struck` they are Wilson's
+    interval of the share of episodes with one. `ratio_to_expert` is the ratio of the means, every policy driving on the
+    same traffic. It is NaN where the expert was not evaluated beside or its mean is 0.
 
     Episodes in which the host never closed in on a vehicle have an infinite `min_ttc_s`; that metric is summarised
     over the others, and NaN if there are none.
@@ -42,7 +45,7 @@ def summary(episodes: pd.DataFrame) -> pd.DataFrame:
     for policy, driven in episodes.groupby("policy", sort=False):
         for metric in METRICS:
             values, reference = _finite(driven[metric]), _finite(expert[metric])
-            low, high = interval(iqm, values[None]) if len(values) else (np.nan, np.nan)
+            low, high = _interval(metric, values) if len(values) else (np.nan, np.nan)
             rows.append(
                 {
                     "policy": policy,
@@ -106,6 +109,10 @@ def typed(rows: Iterable[dict[str, Any]] | pd.DataFrame, columns: dict[str, str]
     """Return a table with these columns of these types, its numbers rounded to `DECIMALS`."""
     table = pd.DataFrame(rows, columns=list(columns)).astype(columns).round(DECIMALS)
     return table.replace(-0.0, 0.0)
+
+
+def _interval(metric: str, values: Floats) -> tuple[float, float]:
+    return share_interval(values) if metric in CONTACTS else interval(iqm, values[None])
 
 
 def _finite(values: pd.Series) -> Floats:

@@ -8,6 +8,8 @@ configuration and the files that it follows from.
 
 import itertools
 import json
+import re
+import tomllib
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -19,13 +21,20 @@ import pyarrow as pa
 import pyarrow.parquet as pq
 
 from rail_sumo import assets, drivers, plot, report, rollout, run, training
-from rail_sumo.config import Config, dumps
+from rail_sumo.config import Config, dumps, validate
 from rail_sumo.errors import InputError
 from rail_sumo.files import check_folder, whole_file
 from rail_sumo.records import EPISODE_COLUMNS, Floats
 from rail_sumo.rollout import SILENT, Observer, WorkerCount
 from rail_sumo.run_directory import RunDirectory
-from rail_sumo.statistics import interval, iqm, mean_difference, probability_of_improvement, ratio_of_iqms
+from rail_sumo.statistics import (
+    interval,
+    iqm,
+    mean_difference,
+    probability_of_improvement,
+    ratio_of_iqms,
+    share_interval,
+)
 
 TRAJECTORIES = (1, 5, 10, 20, 40)
 METRICS = ("speed_kmh", "overtakes", "lane_changes", "longitudinal_reward", "lateral_reward")
@@ -37,14 +46,30 @@ PAPER = {
 }
 """Table 1 of the paper, by learner and layers, in the order of `METRICS`."""
 
-TABLE1 = (("rail", 2), ("rail", 1), ("bc", 2), ("gail", 2), ("dagger", 2), ("rule", 0), ("sumo", 0))
-"""Rows beside the expert's: who drives, and on how many layers; 0 for drivers that do not learn."""
+ROWS = {
+    ("rail", 2): "RAIL, two layers",
+    ("rail", 1): "RAIL, one layer",
+    ("rewarded", 2): "RAIL and the reward, two layers",
+    ("expert", 0): "expert",
+    ("bc", 2): "behaviour cloning",
+    ("gail", 2): "GAIL",
+    ("dagger", 2): "DAgger",
+    ("rule", 0): "rule driver",
+    ("sumo", 0): "SUMO's driver",
+}
+"""What is set side by side: who drives, and on how many layers; 0 for drivers that do not learn."""
+
+TABLE1 = tuple(system for system in ROWS if system != ("expert", 0))
+"""The rows beside the expert's."""
 
 FIGURES = (("rail", 2), ("rail", 1), ("bc", 2), ("gail", 2))
 """The curves of Figures 3 and 4."""
 
-QUICK = {"rail": 40, "gail": 40, "bc": 0, "dagger": 5}
+QUICK = {"rail": 40, "rewarded": 40, "gail": 40, "bc": 0, "dagger": 5}
 """Iterations of an experiment that is to show its shape within minutes: a quarter."""
+
+REWARD_WEIGHT = 1.0
+"""Of the environment's reward beside the judge's, for RAIL that is paid both: no longer imitation alone."""
 
 MADE_OF = b"rail_sumo"
 """The key of a cell's metadata that tells its configuration and the SHA-256 of the files it read."""
@@ -87,10 +112,10 @@ class Cell:
         return f"{self.learner}-{self.layers}-layer-{self.trajectories}-seed{self.seed}"
 
     @classmethod
-    def parse(cls, name: str) -> "Cell":
-        """Return the cell whose files are called so."""
-        learner, layers, _, trajectories, seed = name.split("-")
-        return cls(learner, int(layers), int(trajectories), int(seed.removeprefix("seed")))
+    def parse(cls, name: str) -> "Cell | None":
+        """Return the cell whose files are called so, if any is."""
+        found = re.fullmatch(r"(\w+)-(\d)-layer-(\d+)-seed(\d+)", name)
+        return cls(found[1], int(found[2]), int(found[3]), int(found[4])) if found else None
 
 
 @dataclass(frozen=True)
@@ -107,8 +132,13 @@ class _Work:
 
     @property
     def is_finished(self) -> bool:
-        """Whether its result is there, of this configuration and these files."""
-        return self._file.is_file() and (pq.read_schema(self._file).metadata or {}).get(MADE_OF) == self._made_of
+        """Whether its result is there, of this configuration and these files; a key it lacks had its default."""
+        if not self._file.is_file():
+            return False
+        made_of = json.loads((pq.read_schema(self._file).metadata or {}).get(MADE_OF, b"{}"))
+        if "config" not in made_of or made_of["inputs"] != self._inputs:
+            return False
+        return validate(tomllib.loads(made_of["config"])) == self.config
 
     def check(self) -> None:
         """Refuse, before anybody drives, what could not be gone on with."""
@@ -119,8 +149,9 @@ class _Work:
         """Write the result."""
         about = {"training_seed" if name == "seed" else name: value for name, value in vars(self.cell).items()}
         table = pa.Table.from_pandas(report.typed(episodes.assign(**about), CELL_COLUMNS), preserve_index=False)
+        made_of = json.dumps({"config": dumps(self.config), "inputs": self._inputs})
         with whole_file(self._file) as partial:
-            pq.write_table(table.replace_schema_metadata({MADE_OF: self._made_of}), partial)
+            pq.write_table(table.replace_schema_metadata({MADE_OF: made_of}), partial)
 
     def result(self) -> pd.DataFrame:
         """Read the result."""
@@ -131,12 +162,12 @@ class _Work:
         return self.out / "cells" / f"{self.cell.name}.parquet"
 
     @property
-    def _made_of(self) -> bytes:
-        """What the result follows from."""
+    def _inputs(self) -> dict[str, str]:
+        """The files that the result follows from."""
         inputs = training.inputs_of(self.config)
         if self.cell.learner == report.EXPERT:
             inputs["the shipped expert"] = assets.sha256(assets.expert(assets.EXPERT_POLICY))
-        return json.dumps({"config": dumps(self.config), "inputs": inputs}).encode()
+        return inputs
 
 
 def table1(
@@ -171,27 +202,27 @@ def table1(
     with whole_file(out / "table1.csv") as partial:
         table.to_csv(partial, index=False)
     with whole_file(out / "table1.md") as partial:
-        partial.write_text(_markdown(table), encoding="utf-8")
+        partial.write_text(_markdown(table, seeds, config.train.evaluation_episodes), encoding="utf-8")
     return table
 
 
 def compare(cells: pd.DataFrame) -> pd.DataFrame:
     """Return each learner's figures over its seeds and episodes, beside the expert's on the same traffic.
 
-    `low` and `high` are the 95 % interval of the interquartile mean over seeds and episodes, `ratio` is that mean over
-    the expert's, `difference` the mean of learner minus expert, episode by episode on the same traffic, `above_expert`
-    the probability that an episode of the learner has a greater value than one of the expert.
+    `low` and `high` are the 95 % interval of the interquartile mean over seeds and episodes (of collisions and struck:
+    Wilson's, of how often they happen), `ratio` is that mean over the expert's, `difference` the mean of learner minus
+    expert, episode by episode on the same traffic, `above_expert` the probability that an episode of the learner has a
+    greater value than one of the expert.
     """
     expert = cells[cells["learner"] == report.EXPERT]
     rows: list[dict[str, Any]] = []
     for (learner, layers), driven in cells.groupby(["learner", "layers"], sort=False):
-        for metric in METRICS:
+        for metric in (*METRICS, *report.CONTACTS):
             scores, reference = _scores(driven, metric), _scores(expert, metric)
-            low, high = interval(iqm, scores)
+            low, high = share_interval(scores) if metric in report.CONTACTS else interval(iqm, scores)
             ratio, ratio_low, ratio_high = _against(driven, expert, metric)
             difference_low, difference_high = interval(mean_difference, scores, reference)
-            at = METRICS.index(metric)
-            paper = PAPER[learner, layers][at] if (learner, layers) in PAPER else np.nan
+            paper, paper_expert = _paper(learner, layers, metric), _paper(report.EXPERT, 0, metric)
             rows.append({
                 "learner": learner,
                 "layers": layers,
@@ -208,7 +239,7 @@ def compare(cells: pd.DataFrame) -> pd.DataFrame:
                 "difference_high": difference_high,
                 "above_expert": probability_of_improvement(scores, reference),
                 "paper": paper,
-                "paper_ratio": paper / PAPER[report.EXPERT, 0][at],
+                "paper_ratio": paper / paper_expert,
             })  # fmt: skip
     return report.typed(rows, TABLE_COLUMNS)
 
@@ -235,7 +266,7 @@ def figures(
     expert = cells[cells["learner"] == report.EXPERT]
     for metric in METRICS:
         curves = {
-            _NAMES[system]: np.array([_against(_of(cells, *system, n), expert, metric) for n in TRAJECTORIES])
+            ROWS[system]: np.array([_against(_of(cells, *system, n), expert, metric) for n in TRAJECTORIES])
             for system in FIGURES
         }
         figure = plot.against_trajectories(TRAJECTORIES, curves, _LABELS[metric])
@@ -257,6 +288,8 @@ def _drive(
     """Bring every cell to its end and return their episodes, in the grid's order."""
     if seeds < 1:
         raise InputError(f"--seeds must be at least 1; got {seeds}")
+    if workers == "ray":
+        raise InputError("reproduce keeps its cells on this machine and takes a number of --workers, not ray")
     check_folder(out, overwrite=True)
     run.require_drivable(config, config.train.evaluation_episodes)
     drivers.load_expert(config)  # everybody is set beside it
@@ -283,13 +316,15 @@ def _world(cell: Cell, config: Config, quick: bool) -> Config:
     default = config.train.iterations == "default"
     iterations = QUICK[cell.learner] if quick and default else config.train.iterations
     changed = {
-        "learner": cell.learner,
+        "learner": "rail" if cell.learner == "rewarded" else cell.learner,
         "trajectories": cell.trajectories,
         "iterations": "default" if cell.learner == "bc" else iterations,
     }
+    weight = REWARD_WEIGHT if cell.learner == "rewarded" else config.rail.reward_weight
     return config.model_copy(
         update={
             "policy": config.policy.model_copy(update={"layers": cell.layers}),
+            "rail": config.rail.model_copy(update={"reward_weight": weight}),
             "train": config.train.model_copy(update=changed),
         }
     ).resolved()
@@ -312,7 +347,8 @@ def _finish(work: _Work) -> pd.DataFrame:
 
 def _all_finished(config: Config, out: Path, quick: bool) -> list[_Work]:
     """Return the finished cells of this configuration, in the order of `CELL_COLUMNS`."""
-    cells = sorted(Cell.parse(file.stem) for file in (out / "cells").glob("[!.]*.parquet"))
+    names = [file.stem for file in (out / "cells").glob("[!.]*.parquet")]
+    cells = sorted(cell for cell in map(Cell.parse, names) if cell and (cell.learner, cell.layers) in ROWS)
     work = [_Work(cell, _world(cell, config, quick), out) for cell in cells]
     return [one for one in work if one.is_finished]
 
@@ -327,22 +363,17 @@ def _scores(driven: pd.DataFrame, metric: str) -> Floats:
     return driven.pivot(index="training_seed", columns="episode", values=metric).to_numpy(dtype=np.float64)
 
 
+def _paper(learner: str, layers: int, metric: str) -> float:
+    """Return the paper's mean; NaN where it tells none."""
+    return dict(zip(METRICS, PAPER.get((learner, layers), ()), strict=False)).get(metric, np.nan)
+
+
 def _against(driven: pd.DataFrame, expert: pd.DataFrame, metric: str) -> tuple[float, float, float]:
     """Return the ratio of interquartile means to the expert's, and its 95 % interval."""
     scores, reference = _scores(driven, metric), _scores(expert, metric)
     return float(ratio_of_iqms(scores, reference)), *interval(ratio_of_iqms, scores, reference)
 
 
-_NAMES = {
-    ("rail", 2): "RAIL, two layers",
-    ("rail", 1): "RAIL, one layer",
-    ("expert", 0): "expert",
-    ("bc", 2): "behaviour cloning",
-    ("gail", 2): "GAIL",
-    ("dagger", 2): "DAgger",
-    ("rule", 0): "rule driver",
-    ("sumo", 0): "SUMO's driver",
-}
 _LABELS = {
     "speed_kmh": "speed",
     "overtakes": "overtakes",
@@ -352,20 +383,28 @@ _LABELS = {
 }
 
 
-def _markdown(table: pd.DataFrame) -> str:
-    """Return interquartile means, their ratios to the expert's with intervals, and the paper's means beside them."""
-    lines = [_line("", _LABELS.values()), "| --- |" + " ---: |" * len(METRICS)]
+def _markdown(table: pd.DataFrame, n_seeds: int, n_episodes: int) -> str:
+    """Return means, ratios of interquartile means to the expert's with intervals, and the paper's beside them."""
+    lines = [_line("", [*_LABELS.values(), "contacts"]), "| --- |" + " ---: |" * (len(METRICS) + 1)]
     for (learner, layers), rows in table.groupby(["learner", "layers"], sort=False):
-        system, by_metric = (learner, layers), rows.set_index("metric").loc[list(METRICS)]
-        lines.append(_line(_NAMES[system], map("{:.1f}".format, by_metric["iqm"])))
+        system, figures = (learner, layers), rows.set_index("metric")
+        by_metric = figures.loc[list(METRICS)]
+        contacts = round(figures.loc[list(report.CONTACTS), "mean"].sum() * n_seeds * n_episodes)
+        lines.append(_line(ROWS[system], [*map("{:.1f}".format, by_metric["mean"]), str(contacts)]))
         ratios = [_ratio(*row) for row in by_metric[["ratio", "ratio_low", "ratio_high"]].to_numpy()]
         if learner != report.EXPERT:
-            lines.append(_line("&emsp;of the expert's", ratios))
+            lines.append(_line("&emsp;of the expert's", [*ratios, ""]))
         if system in PAPER:
-            lines.append(_line("&emsp;in the paper", map("{:.1f}".format, by_metric["paper"])))
+            lines.append(_line("&emsp;in the paper", [*map("{:.1f}".format, by_metric["paper"]), ""]))
         if system in PAPER and learner != report.EXPERT:
-            lines.append(_line("&emsp;in the paper, of the expert's", map("{:.3f}".format, by_metric["paper_ratio"])))
-    lines += ["", "Interquartile means over training seeds and episodes, with 95 % intervals; the paper's are means."]
+            shares = map("{:.3f}".format, by_metric["paper_ratio"])
+            lines.append(_line("&emsp;in the paper, of the expert's", [*shares, ""]))
+    lines += [
+        "",
+        f"Means of {n_seeds} x {n_episodes} episodes (training seeds x held-out traffic); below them, ratios of "
+        f"interquartile means to the expert's on the same traffic, with 95 % intervals. Contacts: how often the host "
+        f"hit or was hit, in all episodes. The paper's are means of 16 episodes of one training.",
+    ]
     return "\n".join(lines) + "\n"
 
 

@@ -154,18 +154,14 @@ def workers(number: WorkerCount) -> Iterator[Workers]:
         return
     spawn = multiprocessing.get_context("spawn")
     executor = ProcessPoolExecutor(number, spawn, initializer=_begin)
-    before = signal.signal(
-        signal.SIGINT, signal.SIG_IGN
-    )  # the workers inherit it, so none is interrupted while it starts
-    try:
+    strangers = set(multiprocessing.active_children())
+    with _deaf_to_ctrl_c():  # the workers inherit it, so none is interrupted while it starts
         for _ in range(number):
             executor.submit(int)  # each starts one
-    finally:
-        signal.signal(signal.SIGINT, before)
     try:
         yield executor
     except KeyboardInterrupt:
-        for process in multiprocessing.active_children():  # a task may take minutes, and nobody waits for it
+        for process in set(multiprocessing.active_children()) - strangers:  # a task may take minutes
             process.terminate()
         raise
     except BrokenProcessPool:
@@ -175,6 +171,18 @@ def workers(number: WorkerCount) -> Iterator[Workers]:
         ) from None
     finally:
         executor.shutdown(cancel_futures=True)
+
+
+@contextmanager
+def _deaf_to_ctrl_c() -> Iterator[None]:
+    if threading.current_thread() is not threading.main_thread():  # which alone hears it
+        yield
+        return
+    before = signal.signal(signal.SIGINT, signal.SIG_IGN)
+    try:
+        yield
+    finally:
+        signal.signal(signal.SIGINT, before)
 
 
 def _begin() -> None:

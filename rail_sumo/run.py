@@ -105,7 +105,7 @@ def record(
     workers: WorkerCount = 1,
     observer: Observer = SILENT,
 ) -> Demonstrations:
-    """Return what a driver sees and decides in traffic of its own, which no evaluation or training meets."""
+    """Return what a driver sees and carries out in traffic of its own, which no evaluation or training meets."""
     tasks = [Task(driver, world, traffic_seed(seed, DEMONSTRATION, episode)) for episode in range(episodes)]
     return Demonstrations.from_trajectories(list(drive_all("record", tasks, workers, observer)))
 

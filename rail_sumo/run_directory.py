@@ -19,7 +19,7 @@ import safetensors.numpy
 from numpy.typing import NDArray
 from safetensors import SafetensorError, safe_open
 
-from rail_sumo.config import Config, dumps, load
+from rail_sumo.config import Config, difference, dumps, load
 from rail_sumo.errors import InputError, ObservationError
 from rail_sumo.files import whole_file, whole_folder
 from rail_sumo.highway.observation import feature_names
@@ -121,14 +121,15 @@ class RunDirectory:
         """Return the learned driver, to drive in a world that shows it what it was trained on.
 
         Raises:
-            InputError: the world's observation is laid out differently, or the file is damaged.
+            ObservationError: the world's sensing is another.
+            InputError: the file is damaged.
         """
-        learned, _, about = _read_driver(self.path / POLICY)
-        given = feature_names(world.lidar, world.observation)
-        if given != about["features"]:
+        learned, _, _ = _read_driver(self.path / POLICY)
+        apart = difference(self.config.sensing, world.sensing)
+        if apart:
             raise ObservationError(
-                f"policy '{self.path}' was trained on another observation ({len(about['features'])} features) than it "
-                f"is to drive with ({len(given)}); leave [lidar] and [observation] as in '{self.path / CONFIG}'"
+                f"policy '{self.path}' was trained with {apart}; leave [lidar] and [observation] as in "
+                f"'{self.path / CONFIG}'"
             )
         return learned
 
@@ -164,13 +165,13 @@ class RunDirectory:
             InputError: the run was started with another seed, configuration or content of the files it reads, or has
                 done more iterations than it is to have.
         """
-        given = _flat(config) | {"seed": seed}
-        for key, value in (_flat(self.config) | {"seed": self.seed}).items():
-            if given[key] != value and key not in MAY_CHANGE:
-                raise InputError(
-                    f"run directory '{self.path}' was started with {key} = {value}, not {given[key]}; resume it as it "
-                    f"was started, or start another with --out"
-                )
+        started = {key: value for key, value in self.config.flat().items() if key not in MAY_CHANGE}
+        apart = difference(started | {"seed": self.seed}, config.flat() | {"seed": seed})
+        if apart:
+            raise InputError(
+                f"run directory '{self.path}' was started with {apart}; resume it as it was started, or start another "
+                f"with --out"
+            )
         for key, checksum in self._about["inputs"].items():
             if inputs[key] != checksum:
                 raise InputError(
@@ -200,10 +201,6 @@ def require_new(path: Path) -> None:
     """Raise InputError if there is something where a new run is to be."""
     if path.exists():
         raise InputError(f"output folder '{path}' exists; go on with it by --resume, or choose another with --out")
-
-
-def _flat(tree: Config) -> dict[str, Any]:
-    return {f"{section}.{key}": value for section, values in tree.model_dump().items() for key, value in values.items()}
 
 
 def _csv(progress: tuple[Row, ...]) -> bytes:

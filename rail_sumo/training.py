@@ -1,7 +1,6 @@
 """Which learner, on which rollouts: a run from its clone to its last iteration, every one saved as it is done."""
 
 import itertools
-import math
 import time
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, replace
@@ -24,6 +23,7 @@ from rail_sumo.rollout import SILENT, TRAINING, LearnedDriver, Observer, Task, W
 from rail_sumo.run_directory import JUDGES, Checkpoint, Row, RunDirectory, Tensors, require_new
 
 if TYPE_CHECKING:  # torch takes seconds to import, and not every command trains
+    from rail_sumo.imitation import rail
     from rail_sumo.imitation.discriminator import Judge, JudgeLoss
 
 THETA = "theta_now"
@@ -84,20 +84,21 @@ class Practice:
     def __init__(self, run: RunDirectory, pool: Workers) -> None:
         self.run = run
         self._pool = pool
-        episode = run.config.episode.model_copy(update={"course_m": math.inf, "duration_s": run.config.train.horizon_s})
-        self._world = run.config.model_copy(update={"episode": episode})
+        self._world = run.config.practice(run.config.train.horizon_s)
 
     def pairs(
-        self, learner: LearnedDriver, perturbations: Floats, iteration: int
+        self, learner: LearnedDriver, perturbations: Floats, iteration: int, *, shared_traffic: bool = True
     ) -> tuple[list[Trajectory], list[Trajectory]]:
-        """Drive theta plus and minus each perturbation, both on the same traffic."""
+        """Drive theta plus and minus each perturbation, both on the same traffic unless told otherwise."""
+        n = len(perturbations)
+        thetas = [*(learner.theta + perturbations), *(learner.theta - perturbations)]
+        traffic = [*range(n), *range(n)] if shared_traffic else range(2 * n)
         tasks = [
-            self._task(replace(learner, theta=learner.theta + sign * delta), iteration, direction)
-            for sign in (1.0, -1.0)
-            for direction, delta in enumerate(perturbations)
+            self._task(replace(learner, theta=theta), iteration, number)
+            for theta, number in zip(thetas, traffic, strict=True)
         ]
         driven = list(self._pool.map(rollout.drive, tasks))
-        return driven[: len(perturbations)], driven[len(perturbations) :]
+        return driven[:n], driven[n:]
 
     def sampled(self, learner: LearnedDriver, n_rollouts: int, iteration: int) -> list[Trajectory]:
         """Drive by actions drawn with the policy's probabilities."""
@@ -117,12 +118,10 @@ class Practice:
 
 def _rail(practice: Practice, checkpoint: Checkpoint, demonstrations: Demonstrations) -> Iterator[Iteration]:
     from rail_sumo.imitation import rail
-    from rail_sumo.imitation.rewarded import Rewarded
 
     run, start = practice.run, checkpoint.learned
     judge = judge_of(run)
-    weight = run.config.rail.reward_weight
-    payer = Rewarded(judge, weight, partial(total_reward, adas=run.config.adas)) if weight else judge
+    payer = paid_by(judge, run.config)
     average = start.theta
     for state in rail.train(
         checkpoint.memory.get(THETA, start.theta),
@@ -136,7 +135,7 @@ def _rail(practice: Practice, checkpoint: Checkpoint, demonstrations: Demonstrat
         first_iteration=checkpoint.iteration + 1,
     ):
         driven = [*state.plus, *state.minus]
-        average = _averaged(average, state.theta, run.config.search.averaging, state.iteration)
+        average = averaged(average, state.theta, run.config.search.averaging, state.iteration)
         memory = {THETA: state.theta} | _named(JUDGES, judge.state())
         figures = _verdict(state.judge_loss, payer.returns(driven)) | {"step_norm": state.step_norm}
         yield Iteration(replace(start, theta=average), memory, driven, figures)
@@ -205,7 +204,7 @@ def _ars(practice: Practice, checkpoint: Checkpoint, demonstrations: Demonstrati
         seed=run.seed,
         first_iteration=checkpoint.iteration + 1,
     ):
-        average = _averaged(average, state.theta, run.config.search.averaging, state.iteration)
+        average = averaged(average, state.theta, run.config.search.averaging, state.iteration)
         learned = replace(start, theta=average, whitening=state.whitening)
         memory = {THETA: state.theta} | _named(MOMENTS, vars(state.moments))
         figures = {"mean_return": state.mean_return, "step_norm": state.step_norm}
@@ -241,15 +240,33 @@ def judge_of(run: RunDirectory) -> "Judge":
     from rail_sumo.imitation.discriminator import Judge
 
     config, clone = run.config, run.clone
-    horizon_decisions = round(config.train.horizon_s / config.episode.decision_period_s)
-    judge = Judge(clone.shape.n_features, clone.whitening, config.judge, run.seed, horizon_decisions)
+    judge = Judge(clone.shape.n_features, clone.whitening, config.judge, run.seed, horizon_decisions(config))
     memory = run.checkpoint().memory
     if memory:
         judge.load_state(_part(JUDGES, memory))
     return judge
 
 
-def _averaged(average: Floats, theta: Floats, averaging: float, iteration: int) -> Floats:
+def paid_by(judge: "Judge", config: Config) -> "rail.Judge":
+    """Return who scores RAIL's rollouts: the judge, and the environment beside it if its reward has a weight."""
+    from rail_sumo.imitation.rewarded import Rewarded
+
+    if not config.rail.reward_weight:
+        return judge
+    return Rewarded(
+        judge,
+        config.rail.reward_weight,
+        reward=partial(total_reward, adas=config.adas),
+        horizon_decisions=horizon_decisions(config),
+    )
+
+
+def horizon_decisions(config: Config) -> int:
+    """Return the number of decisions in a training rollout that nothing cuts short."""
+    return round(config.train.horizon_s / config.episode.decision_period_s)
+
+
+def averaged(average: Floats, theta: Floats, averaging: float, iteration: int) -> Floats:
     """Return theta's running average after an iteration, the clone left out (weights as Adam corrects its moments')."""
     return average + (1.0 - averaging) / (1.0 - averaging**iteration) * (theta - average)
 
@@ -291,7 +308,8 @@ def demonstrations_of(config: Config) -> Demonstrations:
     features = feature_names(config.lidar, config.observation)
     if config.train.learner == "ars":
         return Demonstrations(np.zeros((1, len(features))), np.zeros(1, np.int64), np.zeros(1, np.int64))
-    return Demonstrations.load(_demonstrations_file(config), features=features).take(config.train.trajectories)
+    shown = Demonstrations.load(_demonstrations_file(config), features=features, demonstrating=config.demonstrating)
+    return shown.take(config.train.trajectories)
 
 
 def _demonstrations_file(config: Config) -> Path:

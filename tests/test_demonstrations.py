@@ -1,4 +1,5 @@
 import json
+import re
 
 import numpy as np
 import pyarrow as pa
@@ -9,6 +10,7 @@ from hypothesis import strategies as st
 from hypothesis.extra import numpy as hnp
 from toy import episode
 
+from rail_sumo import config
 from rail_sumo.errors import InputError
 from rail_sumo.imitation.demonstrations import METADATA_KEY, Demonstrations
 
@@ -95,6 +97,26 @@ def test_the_file_names_its_columns_and_tells_where_it_is_from(tmp_path):
     }
     assert pq.ParquetFile(path).metadata.row_group(0).column(0).compression == "ZSTD"
     assert [file.name for file in tmp_path.iterdir()] == ["expert.parquet"]
+
+
+@pytest.mark.parametrize(
+    ("override", "message"),
+    [
+        (
+            "lidar.max_range_m=60.0",
+            "were recorded with lidar.max_range_m = 100.0, not 60.0; set it as it was, or record",
+        ),
+        ("lidar.road_edges=false", "were recorded with lidar.road_edges = True, not False"),
+        ("episode.decision_period_s=0.5", "were recorded with episode.decision_period_s = 1.0, not 0.5"),
+    ],
+)
+def test_what_was_sensed_or_decided_otherwise_is_refused(tmp_path, override, message):
+    path = tmp_path / "expert.parquet"
+    three_episodes().save(path, features=FEATURES, about={"config": config.dumps(config.Config())})
+    as_recorded = config.load(None, ["traffic.vehicles=3"]).demonstrating
+    assert same(Demonstrations.load(path, features=FEATURES, demonstrating=as_recorded), three_episodes())
+    with pytest.raises(InputError, match=re.escape(message)):
+        Demonstrations.load(path, features=FEATURES, demonstrating=config.load(None, [override]).demonstrating)
 
 
 def test_columns_are_found_by_name_not_by_place(tmp_path):

@@ -147,15 +147,30 @@ def test_on_the_same_traffic_the_rule_driver_is_always_faster_than_keeping_and_r
 
 def test_the_expert_refuses_to_drive_by_other_senses_than_it_was_trained_on():
     message = (
-        "the expert was trained on another observation (48 features) than [lidar] and [observation] give (26); "
-        "use the default ones or train an expert: rail-sumo expert train"
+        "the expert was trained with lidar.n_rays = 24, not 12; leave [lidar] and [observation] as in its recipe, or "
+        "train an expert: rail-sumo expert train"
     )
     odd = Config(lidar=config.Lidar(n_rays=12), observation=config.Observation(host_speed=True, lateral_state=True))
     with pytest.raises(ObservationError, match=f"^{re.escape(message)}$"):
         drivers.by_name("expert", odd, 0)
-    as_many = Config(lidar=config.Lidar(n_rays=12), observation=config.Observation(frames=2))
-    with pytest.raises(ObservationError, match=r"another observation \(48 features\) than .* give \(48\)"):
-        drivers.by_name("expert", as_many, 0)
+
+
+@pytest.mark.parametrize(
+    ("override", "message"),
+    [
+        ("lidar.max_range_m=60.0", "lidar.max_range_m = 100.0, not 60.0"),
+        ("lidar.road_edges=false", "lidar.road_edges = True, not False"),
+        ("observation.frames=2", "observation.frames = 1, not 2"),
+    ],
+)
+def test_senses_differ_by_what_their_numbers_mean_not_by_how_many_there_are(override, message):
+    with pytest.raises(ObservationError, match=re.escape(message)):
+        drivers.by_name("expert", config.load(None, [override]), 0)
+
+
+def test_the_expert_may_decide_more_often_than_it_was_trained_to():
+    often = config.load(None, ["episode.decision_period_s=0.5"])
+    assert isinstance(drivers.by_name("expert", often, 0), drivers.Expert)
 
 
 def test_a_drawing_driver_decides_with_softmax_probabilities_and_by_its_seed():

@@ -60,6 +60,12 @@ def test_nothing_is_a_multiple_of_an_expert_without_collisions():
     assert np.isnan(summarised(report.episodes(beside), "rule", "collisions")["ratio_to_expert"])
 
 
+def test_a_policy_that_has_not_crashed_yet_may_crash():
+    never = summarised(report.episodes(rows("rule", [60.0] * 16, collisions=0)), "rule", "collisions")
+    assert never[["mean", "low"]].tolist() == [0.0, 0.0]
+    assert never["high"] == pytest.approx(1.959964**2 / (16 + 1.959964**2), abs=1e-6)  # Wilson's, at 0 of 16
+
+
 def test_time_to_collision_is_summarised_where_the_host_closed_in():
     episodes = report.episodes(rows("rule", [60.0], min_ttc_s=np.inf) + rows("rule", [60.0, 60.0], min_ttc_s=3.0))
     assert summarised(episodes, "rule", "min_ttc_s")["mean"] == 3.0

@@ -1,10 +1,13 @@
 """The paper's experiments, on cells whose episodes are made up."""
 
+import re
+
 import numpy as np
 import pandas as pd
 import pytest
 
 from rail_sumo import config, plot, reproduce, run, training
+from rail_sumo.config import dumps
 from rail_sumo.errors import InputError
 from rail_sumo.rollout import LearnedDriver
 from rail_sumo.run_directory import Checkpoint, RunDirectory
@@ -124,12 +127,13 @@ def test_interrupted_at_any_cell_it_goes_on_to_the_same_bytes(world, done, tmp_p
 def test_what_was_quick_goes_on_to_the_whole_and_not_back(world, done, tmp_path):
     whole = world.model_copy(update={"train": world.train.model_copy(update={"iterations": "default"})})
     reproduce.table1(whole, tmp_path, seeds=1, quick=True)
-    quick = {event[2]: event[3:] for event in done if event[0] == "learn"}
+    quick = {event[1].partition("-")[0]: event[3:] for event in done if event[0] == "learn"}
     assert quick == {learner: (n, False) for learner, n in reproduce.QUICK.items()}
     done.clear()
     reproduce.table1(whole, tmp_path, seeds=1)
-    resumed = {event[2]: event[3:] for event in done if event[0] == "learn"}
-    assert resumed == {"rail": (160, True), "gail": (160, True), "dagger": (20, True)}  # a clone is a clone
+    resumed = {event[1].partition("-")[0]: event[3:] for event in done if event[0] == "learn"}
+    long = dict.fromkeys(("rail", "rewarded", "gail"), (160, True))
+    assert resumed == long | {"dagger": (20, True)}  # a clone is a clone
 
 
 def test_another_configuration_is_refused(world, done, tmp_path):
@@ -161,6 +165,38 @@ def test_other_files_under_the_same_names_are_another_experiment(world, done, tm
     monkeypatch.setattr(training, "inputs_of", lambda config: {"network.file": "changed"})
     with pytest.raises(InputError, match=r"the content of network\.file has changed"):
         reproduce.table1(world, tmp_path, seeds=1)
+
+
+def test_a_cell_from_before_a_key_was_there_is_finished(world, done, tmp_path, monkeypatch):
+    with monkeypatch.context() as before:
+        before.setattr(reproduce, "dumps", lambda config: re.sub(r"\[rail\]\nreward_weight = .*\n", "", dumps(config)))
+        reproduce.table1(world, tmp_path, seeds=1)
+    done.clear()
+    reproduce.table1(world, tmp_path, seeds=1)
+    assert [event[1] for event in done if event[0] == "evaluate"] == ["rewarded"]  # whose key had another value
+
+
+def test_files_that_are_no_cells_are_let_be(world, done, tmp_path):
+    whole = reproduce.table1(world, tmp_path, seeds=1)
+    for name in ("rail-2-layer-40-seed0 (copy)", "rail-3-layer-40-seed0", "notes"):
+        (tmp_path / "cells" / f"{name}.parquet").write_bytes(b"no table")
+    pd.testing.assert_frame_equal(reproduce.table1(world, tmp_path, seeds=1), whole)
+
+
+def test_contacts_are_in_the_table(world, done, tmp_path):
+    table = reproduce.table1(world, tmp_path, seeds=2)  # made-up episodes have one of either kind each
+    struck = table[table["metric"] == "struck"].set_index(["learner", "layers"]).loc[("rail", 2)]
+    assert (struck["mean"], struck["high"]) == (1.0, 1.0)
+    assert 0.6 < struck["low"] < 0.7  # Wilson's, at 8 of 8
+    rail = (tmp_path / "table1.md").read_text().splitlines()[2]
+    assert rail.startswith("| RAIL, two layers |")
+    assert rail.endswith("| 16 |")
+
+
+def test_a_cluster_is_refused_before_any_work(world, done, tmp_path):
+    with pytest.raises(InputError, match="takes a number of --workers, not ray"):
+        reproduce.table1(world, tmp_path, seeds=1, workers="ray")
+    assert done == []
 
 
 def test_too_few_demonstrations_are_found_out_before_any_work(world, done, tmp_path):
@@ -206,7 +242,8 @@ def test_table_and_figures_share_their_cells(world, done, tmp_path):
     assert len(learned) == 4 * 5 - 4
     assert "rail-2-layer-40-seed0" not in learned
     cells = pd.read_parquet(tmp_path / "cells.parquet")
-    assert len(cells) == (4 * 5 + 4) * N_EPISODES  # the table's dagger, rule and sumo, and the expert, too
+    # The figures' cells and what the table has beside them: dagger, rule, sumo, RAIL with the reward, the expert.
+    assert len(cells) == (4 * 5 + 5) * N_EPISODES
     reproduce.table1(world, tmp_path, seeds=1)
     pd.testing.assert_frame_equal(cells, pd.read_parquet(tmp_path / "cells.parquet"))
 

@@ -2,7 +2,7 @@ import itertools
 
 import numpy as np
 from test_rail import JUDGE, SEARCH, evaluate, judge
-from toy import EXPERT_ACTIONS, SHAPE, WHITENING, agreement, episode, expert, sights
+from toy import EXPERT_ACTIONS, N_DECISIONS, SHAPE, WHITENING, agreement, episode, expert, sights
 
 from rail_sumo.imitation import rail
 from rail_sumo.imitation.rewarded import Rewarded
@@ -32,7 +32,7 @@ def learned(weight):
         like_the_expert(),
         expert(),
         search=SEARCH,
-        judge=Rewarded(judge(), weight, braking),
+        judge=Rewarded(judge(), weight, reward=braking, horizon_decisions=N_DECISIONS),
         evaluate=evaluate,
         seed=0,
     )
@@ -44,7 +44,9 @@ def test_a_return_is_the_judges_and_the_weighted_reward_of_a_decision():
     halting = episode(seen, [MetaAction.DECELERATE, MetaAction.KEEP, MetaAction.DECELERATE, MetaAction.KEEP])
     keeping = episode(seen, [MetaAction.KEEP] * 4)
     plain = judge().returns([halting, keeping])
-    np.testing.assert_allclose(Rewarded(judge(), 3.0, braking).returns([halting, keeping]) - plain, [1.5, 0.0])
+    np.testing.assert_allclose(
+        Rewarded(judge(), 3.0, reward=braking, horizon_decisions=4).returns([halting, keeping]) - plain, [1.5, 0.0]
+    )
 
 
 def test_a_reward_that_weighs_much_leads_away_from_the_expert_and_one_that_weighs_little_does_not():
@@ -57,7 +59,19 @@ def test_the_judge_behind_it_learns_as_it_would_without():
     plain, paid = judge(JUDGE), judge(JUDGE)
     seen = sights(1)
     rollouts = [episode(seen, np.zeros(len(seen)))]
-    losses = [one.fit(expert(), rollouts, np.random.default_rng(0)) for one in (plain, Rewarded(paid, 3.0, braking))]
+    losses = [
+        one.fit(expert(), rollouts, np.random.default_rng(0))
+        for one in (plain, Rewarded(paid, 3.0, reward=braking, horizon_decisions=4))
+    ]
     assert losses[0] == losses[1]
     for name, tensor in plain.state().items():
         np.testing.assert_array_equal(tensor, paid.state()[name])
+
+
+def test_a_crash_does_not_pay():
+    seen = sights(0, 8)
+    brake = MetaAction.DECELERATE
+    whole = episode(seen, [brake, MetaAction.KEEP] * 4)
+    crashed = episode(seen[:2], [brake, brake], end_reason="collision")
+    paid = Rewarded(judge(), 3.0, reward=braking, horizon_decisions=8).returns([whole, crashed])
+    np.testing.assert_allclose(paid - judge().returns([whole, crashed]), [3.0 * 4 / 8, 3.0 * 2 / 8])

@@ -127,6 +127,13 @@ def test_places_on_the_ring_by_hand():
     assert ring.place(3 * ring.length_m + 10.0) == (0, pytest.approx(10.0))
 
 
+def test_a_file_that_was_edited_is_read_again(tmp_path):
+    file = tmp_path / "mine.net.xml"
+    for name, lanes in (("highway5", 5), ("highway3", 3)):
+        file.write_bytes(assets.network(name).read_bytes())
+        assert road.load(str(file)).edges[0].n_lanes == lanes
+
+
 def test_beyond_the_ends_of_a_straight_road_there_is_no_place():
     highway = road.load("highway5")
     assert highway.place(0.0) == (0, 0.0)

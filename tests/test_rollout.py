@@ -7,6 +7,7 @@ import pickle
 import re
 import sys
 import time
+from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 
 import numpy as np
@@ -57,6 +58,29 @@ def test_all_workers_are_started_before_anything_is_driven():
     before = set(multiprocessing.active_children())
     with workers(3):
         assert len(set(multiprocessing.active_children()) - before) == 3
+
+
+def test_a_thread_may_have_workers():
+    with ThreadPoolExecutor(1) as threads:
+        assert threads.submit(count_with_two).result() == [1, 2, 3]
+
+
+def count_with_two():
+    with workers(2) as pool:
+        return list(pool.map(abs, [-1, -2, -3]))
+
+
+def test_ctrl_c_ends_our_own_processes_and_no_others():
+    stranger = multiprocessing.get_context("spawn").Process(target=time.sleep, args=(60,))
+    stranger.start()
+    try:
+        with pytest.raises(KeyboardInterrupt), workers(2):
+            raise KeyboardInterrupt
+        assert stranger.is_alive()
+        assert set(multiprocessing.active_children()) == {stranger}
+    finally:
+        stranger.terminate()
+        stranger.join()
 
 
 def die(_):

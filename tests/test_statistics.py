@@ -5,7 +5,15 @@ from hypothesis import strategies as st
 from hypothesis.extra import numpy as arrays
 from scipy import stats
 
-from rail_sumo.statistics import interval, iqm, mean_difference, probability_of_improvement, ratio_of_iqms
+from rail_sumo import statistics
+from rail_sumo.statistics import (
+    interval,
+    iqm,
+    mean_difference,
+    probability_of_improvement,
+    ratio_of_iqms,
+    share_interval,
+)
 
 scores = arrays.arrays(np.float64, st.tuples(st.integers(1, 4), st.integers(1, 6)), elements=st.integers(-5, 5))
 
@@ -32,14 +40,32 @@ def test_of_trainings_whose_episodes_are_all_alike_it_is_the_bootstrap_over_trai
     assert interval(mean, np.repeat(each[:, None], 16, axis=1)) == pytest.approx(tuple(plain), abs=0.15)
 
 
-def test_it_holds_the_truth_about_as_often_as_it_says():
+@pytest.mark.parametrize(
+    ("n_seeds", "n_episodes", "between", "expected"), [(40, 4, 1.0, 0.94), (5, 16, 0.0, 0.97), (5, 16, 1.0, 0.88)]
+)
+def test_it_holds_the_truth_about_as_often_as_it_says(n_seeds, n_episodes, between, expected):
     rng = np.random.default_rng(5)
     held = 0
     for _ in range(400):
-        of_seeds = rng.normal(size=(40, 1))
-        low, high = interval(mean, of_seeds + rng.normal(size=(40, 4)), n_resamples=400)
+        of_seeds = between * rng.normal(size=(n_seeds, 1))
+        low, high = interval(mean, of_seeds + rng.normal(size=(n_seeds, n_episodes)), n_resamples=400)
         held += low <= 0.0 <= high
-    assert 0.91 < held / 400 < 0.98
+    assert held / 400 == pytest.approx(expected, abs=0.035)
+
+
+def test_of_many_episodes_it_is_what_it_would_be_drawn_at_once(monkeypatch):
+    ours = np.random.default_rng(0).normal(70.0, 3.0, size=(3, 50))
+    at_once = interval(iqm, ours)
+    monkeypatch.setattr(statistics, "DRAWN_AT_ONCE", 1000)
+    assert interval(iqm, ours) == pytest.approx(at_once, abs=0.05)
+
+
+def test_what_never_happened_may_yet_happen():
+    low, high = share_interval(np.zeros((10, 16)))
+    assert low == 0.0
+    assert high == pytest.approx(1.959964**2 / (160 + 1.959964**2))  # Wilson's, at 0 of 160
+    low, high = share_interval([[0, 2, 0, 0]])
+    assert low < 0.25 < high
 
 
 def test_scores_on_the_same_traffic_are_drawn_together():

@@ -129,7 +129,8 @@ def load(file: str) -> Road:
     Raises:
         InputError: no such file, not a SUMO network, a truncated one, or one without a place to change lanes.
     """
-    return _load(assets.network(file))
+    path = assets.network(file)
+    return _load(path, _state(path))
 
 
 def warnings(road: Road) -> Iterator[str]:
@@ -158,15 +159,21 @@ def check_demand(files: Iterable[str]) -> tuple[Path, ...]:
         InputError: no such file, not XML, or no vehicle, flow or trip in any of them.
     """
     paths = tuple(assets.routes(file) for file in files)
-    found = frozenset().union(*map(_elements, paths))
+    found = frozenset().union(*(_elements(path, _state(path)) for path in paths))
     if paths and not found & {"vehicle", "flow", "trip"}:
         names = "', '".join(map(str, paths))
         raise InputError(f"demand '{names}' has no <vehicle>, <flow> or <trip>; rail-sumo needs traffic to drive in")
     return paths
 
 
+def _state(path: Path) -> tuple[int, int]:
+    """What changes when somebody edits a file; what was read of it is kept until then."""
+    found = path.stat()
+    return found.st_mtime_ns, found.st_size
+
+
 @lru_cache(maxsize=32)
-def _load(path: Path) -> Road:
+def _load(path: Path, state: tuple[int, int]) -> Road:
     net = _read(path)
     course, is_loop = _course(net, path)
     joints = [_joint(here, ahead) for here, ahead in itertools.pairwise(course)]
@@ -220,7 +227,7 @@ def _reason(error: Exception) -> str:
 
 
 @lru_cache(maxsize=32)  # every episode asks
-def _elements(path: Path) -> frozenset[str]:
+def _elements(path: Path, state: tuple[int, int]) -> frozenset[str]:
     names = set()
     try:
         with _open(path) as stream:

@@ -10,6 +10,7 @@ import pyarrow as pa
 import pyarrow.parquet as pq
 from numpy.typing import NDArray
 
+from rail_sumo.config import difference, recorded
 from rail_sumo.errors import InputError
 from rail_sumo.files import whole_file
 from rail_sumo.policy import N_ACTIONS
@@ -38,7 +39,7 @@ class Demonstrations:
     observations: Floats
     """(n, n_features)."""
     actions: NDArray[np.int64]
-    """(n,): the `MetaAction` decided on each observation."""
+    """(n,): the `MetaAction` carried out on each observation; KEEP where another was refused."""
     episode: NDArray[np.int64]
     """(n,): which episode each decision belongs to."""
 
@@ -114,18 +115,24 @@ class Demonstrations:
             pq.write_table(table, partial, compression="zstd")
 
     @classmethod
-    def load(cls, path: Path, *, features: Sequence[str]) -> "Demonstrations":
+    def load(
+        cls, path: Path, *, features: Sequence[str], demonstrating: Mapping[str, object] | None = None
+    ) -> "Demonstrations":
         """Read a Parquet file that `save` wrote, or one with the same columns in any order.
 
         Args:
             path: where from.
             features: the names of the observation that the learner will drive with, in order.
+            demonstrating: how the learner senses and decides, see `Config.demonstrating`; a file that tells the
+                configuration it was recorded with must tell the same.
 
         Raises:
             InputError: no such file, not Parquet, damaged, without a row, recorded with another observation than
-                `features`, or with a value that is missing, not finite or no meta-action.
+                `features` or otherwise than `demonstrating`, or with a value that is missing, not finite or no
+                meta-action.
         """
         table = _read(path)
+        _check_recording(path, table, demonstrating)
         _check_layout(path, table.column_names, features)
         observations = np.column_stack([_numbers(path, table, name) for name in features])
         actions = _integers(path, table, ACTION)
@@ -151,6 +158,15 @@ def _read(path: Path) -> pa.Table:
     if not table.num_rows:
         raise InputError(f"{_named(path)} hold no decision; {_AGAIN}")
     return table
+
+
+def _check_recording(path: Path, table: pa.Table, demonstrating: Mapping[str, object] | None) -> None:
+    about = json.loads((table.schema.metadata or {}).get(METADATA_KEY, b"{}")).get("about", {})
+    if demonstrating is None or "config" not in about:
+        return  # somebody else's file
+    apart = difference(recorded(about["config"]).demonstrating, demonstrating)
+    if apart:
+        raise InputError(f"{_named(path)} were recorded with {apart}; set it as it was, or {_AGAIN}")
 
 
 def _check_layout(path: Path, columns: Sequence[str], features: Sequence[str]) -> None:

@@ -1,6 +1,6 @@
 """The expert: PPO that never samples an invalid action (the paper's "PPO with specific action controls").
 
-Learns from the environment's reward (`highway.reward`), which no imitator sees.
+Learns from the environment's reward (`highway.reward`).
 """
 
 from collections.abc import Callable, Iterator
@@ -84,8 +84,7 @@ def train(
         (weights, biases) of each layer from input to output, for `drivers.Expert`.
     """
     expert = config.expert
-    episode = config.episode.model_copy(update={"course_m": float("inf"), "duration_s": expert.horizon_s})
-    world = config.model_copy(update={"episode": episode})
+    world = config.practice(expert.horizon_s)
     scale = scale_of(config, len(feature_names(config.lidar, config.observation)))
     env = ScaledHighway(world, scale, traffic_seeds)
     try:

@@ -17,18 +17,29 @@ class Rewarded:
         judge: tells expert from learner.
         weight: what a unit of reward adds.
         reward: what a rollout earned.
+        horizon_decisions: decisions in a rollout that nothing cuts short; see `returns`.
     """
 
-    def __init__(self, judge: Judge, weight: float, reward: Callable[[Trajectory], float]) -> None:
+    def __init__(
+        self, judge: Judge, weight: float, *, reward: Callable[[Trajectory], float], horizon_decisions: int
+    ) -> None:
         self._judge = judge
         self._weight = weight
         self._reward = reward
+        self._horizon_decisions = horizon_decisions
 
     def fit(self, expert: Demonstrations, learner: Sequence[Trajectory], rng: np.random.Generator) -> JudgeLoss:
         """Have the judge learn; the reward is what it is."""
         return self._judge.fit(expert, learner, rng)
 
     def returns(self, trajectories: Sequence[Trajectory]) -> Floats:
-        """Return the judge's return of each rollout plus its weighted reward per decision, shape (n_trajectories,)."""
-        earned = np.array([self._reward(trajectory) / len(trajectory.actions) for trajectory in trajectories])
+        """Return the judge's return of each rollout plus its weighted reward per decision, shape (n_trajectories,).
+
+        After a collision nothing more is earned up to the horizon: cutting a rollout short must not pay.
+        """
+        earned = np.array([self._reward(trajectory) / self._decisions(trajectory) for trajectory in trajectories])
         return self._judge.returns(trajectories) + self._weight * earned
+
+    def _decisions(self, trajectory: Trajectory) -> int:
+        decided = len(trajectory.actions)
+        return max(decided, self._horizon_decisions) if trajectory.end_reason == "collision" else decided
