@@ -16,12 +16,12 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from unittest import mock
 
+import kept
 import numpy as np
 import pandas as pd
 from scipy import stats
 
 from rail_sumo import config, rollout, run, training
-from rail_sumo.files import whole_file
 from rail_sumo.imitation import rail
 from rail_sumo.imitation.random_search import RandomSearch
 
@@ -173,20 +173,16 @@ def main() -> None:
     parser.add_argument("--episodes", type=int, default=48, help="of each policy's evaluation")
     parser.add_argument("--workers", type=int, default=2)
     given = parser.parse_args()
-    given.out.mkdir(parents=True, exist_ok=True)
     names = np.array([choice.name for choice in CHOICES])
-    trainings = [
-        Training(number, frozenset(names[row]), given.iterations, given.episodes) for number, row in enumerate(design())
-    ]
-    settings = f"{given.iterations}-iterations-{given.episodes}-episodes"
-    files = {this.number: given.out / f"training{this.number}-{settings}.csv" for this in trainings}
-    missing = [this for this in trainings if not files[this.number].exists()]
-    with rollout.workers(given.workers) as pool:
-        for this, rows in zip(missing, pool.map(train, missing), strict=True):
-            with whole_file(files[this.number]) as part:
-                rows.to_csv(part, index=False)
-            print(rows.iloc[:, :6].round(3).to_string(index=False, header=this is missing[0]), flush=True)
-    done = pd.concat(pd.read_csv(file) for file in files.values())
+    parts = {
+        f"training{number}-{given.iterations}-iterations-{given.episodes}-episodes": Training(
+            number, frozenset(names[row]), given.iterations, given.episodes
+        )
+        for number, row in enumerate(design())
+    }
+    done = kept.tables(
+        given.out, parts, train, workers=given.workers, say=lambda rows: str(rows[SHOWN].round(3).values)
+    )
     for policy, rows in done.groupby("policy"):
         print(f"\n{policy}: " + ", ".join(f"{name} {rows[name].mean():.3f}" for name in [*SHOWN, "collisions"]))
     for metric in SHOWN:

@@ -14,11 +14,11 @@ import tempfile
 import time
 from pathlib import Path
 
+import kept
 import numpy as np
 import pandas as pd
 
 from rail_sumo import config, rollout, run, training
-from rail_sumo.files import whole_file
 from rail_sumo.imitation import gail  # noqa: F401  importing it takes seconds, which are nobody's training
 
 LEARNERS = ("rail", "gail")
@@ -74,18 +74,19 @@ def main() -> None:
     parser.add_argument("--every", type=int, default=4, help="iterations between looks")
     parser.add_argument("--workers", type=int, default=2)
     given = parser.parse_args()
-    given.out.mkdir(parents=True, exist_ok=True)
-    cells = [(learner, seed) for seed, learner in itertools.product(range(given.seeds), LEARNERS)]
-    settings = f"{given.iterations}-iterations-every-{given.every}"
-    files = {cell: given.out / f"{cell[0]}{cell[1]}-{settings}.csv" for cell in cells}
-    missing = [cell for cell in cells if not files[cell].exists()]
-    with rollout.workers(given.workers) as pool:
-        curves = pool.map(learning_curve, [(*cell, given.iterations, given.every) for cell in missing])
-        for cell, curve in zip(missing, curves, strict=True):
-            with whole_file(files[cell]) as part:
-                curve.to_csv(part, index=False)
-            print(f"{cell[0]}, seed {cell[1]}: " + " ".join(f"{speed:.3f}" for speed in curve["speed"]), flush=True)
-    curves = pd.concat([pd.read_csv(file) for file in files.values()]).groupby(["learner", "seed"], sort=False)
+    parts = {
+        f"{learner}{seed}-{given.iterations}-iterations-every-{given.every}": (
+            learner, seed, given.iterations, given.every,
+        )
+        for seed, learner in itertools.product(range(given.seeds), LEARNERS)
+    }  # fmt: skip
+    curves = kept.tables(
+        given.out,
+        parts,
+        learning_curve,
+        workers=given.workers,
+        say=lambda curve: " ".join(f"{speed:.3f}" for speed in curve["speed"]),
+    ).groupby(["learner", "seed"], sort=False)
     for share in SHARES:
         reached = curves.apply(got_there, share).unstack("learner")
         medians = reached.median().unstack("learner")
