@@ -121,24 +121,22 @@ def _rail(practice: Practice, checkpoint: Checkpoint, demonstrations: Demonstrat
 
     run, start = practice.run, checkpoint.learned
     judge = judge_of(run)
-    payer = paid_by(judge, run.config)
     average = start.theta
     for state in rail.train(
         checkpoint.memory.get(THETA, start.theta),
         demonstrations,
         search=run.config.search,
-        judge=payer,
+        judge=paid_by(judge, run.config),
         evaluate=lambda theta, perturbations, number: practice.pairs(
             replace(start, theta=theta), perturbations, number
         ),
         seed=run.seed,
         first_iteration=checkpoint.iteration + 1,
     ):
-        driven = [*state.plus, *state.minus]
         average = averaged(average, state.theta, run.config.search.averaging, state.iteration)
         memory = {THETA: state.theta} | _named(JUDGES, judge.state())
-        figures = _verdict(state.judge_loss, payer.returns(driven)) | {"step_norm": state.step_norm}
-        yield Iteration(replace(start, theta=average), memory, driven, figures)
+        figures = _verdict(state.judge_loss) | {"mean_return": state.mean_return, "step_norm": state.step_norm}
+        yield Iteration(replace(start, theta=average), memory, [*state.plus, *state.minus], figures)
 
 
 def _gail(practice: Practice, checkpoint: Checkpoint, demonstrations: Demonstrations) -> Iterator[Iteration]:
@@ -164,7 +162,8 @@ def _gail(practice: Practice, checkpoint: Checkpoint, demonstrations: Demonstrat
         seed=run.seed,
         first_iteration=checkpoint.iteration + 1,
     ):
-        figures = _verdict(state.judge_loss, judge.returns(state.driven)) | {"step_norm": state.step_norm}
+        mean_return = float(judge.returns(state.driven).mean())
+        figures = _verdict(state.judge_loss) | {"mean_return": mean_return, "step_norm": state.step_norm}
         memory = _named(JUDGES, judge.state()) | _named(PPO, ppo.state())
         yield Iteration(replace(start, theta=state.theta), memory, state.driven, figures)
 
@@ -271,9 +270,8 @@ def averaged(average: Floats, theta: Floats, averaging: float, iteration: int) -
     return average + (1.0 - averaging) / (1.0 - averaging**iteration) * (theta - average)
 
 
-def _verdict(loss: "JudgeLoss", returns: Floats) -> dict[str, float]:
+def _verdict(loss: "JudgeLoss") -> dict[str, float]:
     return {
-        "mean_return": float(returns.mean()),
         "judge_loss": loss.loss,
         "judge_expert_mean": loss.expert_mean,
         "judge_learner_mean": loss.learner_mean,

@@ -39,6 +39,8 @@ class RailState:
     step_norm: float
     """How far theta moved; 0.0 where the judge saw no difference."""
     judge_loss: "JudgeLoss"
+    mean_return: float
+    """Of all rollouts, by that judge."""
     plus: list[Trajectory]
     minus: list[Trajectory]
     """The rollouts it was decided by, from before the step: a pair per direction."""
@@ -77,5 +79,6 @@ def train(
         deltas = ars.ask(rng)  # line 2
         plus, minus = evaluate(ars.theta, ars.noise_std * deltas, iteration)  # lines 3-6: same traffic for both
         judge_loss = judge.fit(expert=demonstrations, learner=plus + minus, rng=rng)  # lines 7-9, least squares
-        step_norm = ars.tell(deltas, judge.returns(plus), judge.returns(minus))  # lines 10-13, one frozen judge
-        yield RailState(iteration, ars.theta.copy(), step_norm, judge_loss, plus, minus)
+        returns = judge.returns(plus), judge.returns(minus)  # one frozen judge for all
+        step_norm = ars.tell(deltas, *returns)  # lines 10-13
+        yield RailState(iteration, ars.theta.copy(), step_norm, judge_loss, float(np.mean(returns)), plus, minus)
