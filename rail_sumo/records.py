@@ -115,7 +115,8 @@ class Trajectory:
     struck: int
     min_ttc_s: float
     """Smallest time to collision with the vehicle ahead; inf if the host never closed in on one."""
-    end_reason: EndReason
+    end_reason: EndReason | None
+    """None while it is under way."""
     seed: int
     """Seed of the episode's traffic."""
     network: str

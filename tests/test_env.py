@@ -385,6 +385,14 @@ def test_the_course_ends_the_episode_in_the_first_decision_beyond_it(make):
     assert travelled_m[-1] >= 500.0 > travelled_m[-11]
 
 
+def test_an_episode_under_way_has_not_ended(make):
+    env = make(world(episode={"duration_s": 12.0}))
+    env.reset(seed=0)
+    env.step(KEEP)
+    so_far = env.trajectory()
+    assert (so_far.end_reason, len(so_far.lane_changing), len(so_far.actions)) == (None, 10, 1)
+
+
 def test_the_duration_ends_the_episode(make):
     driven = drive(make(world(episode={"duration_s": 12.0})), always(KEEP))
     assert (driven.end_reason, len(driven.lane_changing), len(driven.actions)) == ("duration", 120, 12)

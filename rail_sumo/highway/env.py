@@ -259,7 +259,7 @@ class HighwayEnv(gymnasium.Env[Floats, np.int64]):
             collisions=self._simulation.collisions,
             struck=self._simulation.struck,
             min_ttc_s=self._simulation.min_ttc_s,
-            end_reason=self._end or "duration",
+            end_reason=self._end,
             seed=self._seed,
             network=self._road.name,
         )
