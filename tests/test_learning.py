@@ -18,35 +18,39 @@ SHORT = (
 )
 
 
-def gain_kmh(folder):
-    """Train, and return the mean gain in speed on the clone over held-out traffic with its one-sided p-value."""
+def gains_kmh(folder):
+    """Train, and return the gain in speed on the clone in every held-out episode."""
     episodes, _ = run.train(config.load(None, SHORT), folder, seed=0, workers=2)
     speeds = episodes.pivot(index="seed", columns="policy", values="speed_kmh")
-    gains = (speeds["rail"] - speeds["clone"]).to_numpy()
-    test = stats.permutation_test(
-        (gains,), np.mean, permutation_type="samples", alternative="greater", n_resamples=9999, rng=0
-    )
-    return gains.mean(), test.pvalue
+    return (speeds["rail"] - speeds["clone"]).to_numpy()
+
+
+@pytest.fixture(scope="module")
+def by_its_judge(tmp_path_factory):
+    return gains_kmh(tmp_path_factory.mktemp("rail") / "run")
 
 
 @pytest.mark.slow
-def test_rail_drives_faster_than_its_clone_as_the_expert_does(tmp_path):
-    gain, p = gain_kmh(tmp_path / "run")
-    assert gain > 1.0
-    assert p < 0.05
+def test_rail_drives_faster_than_its_clone_as_the_expert_does(by_its_judge):
+    test = stats.permutation_test(
+        (by_its_judge,), np.mean, permutation_type="samples", alternative="greater", n_resamples=9999, rng=0
+    )
+    assert by_its_judge.mean() > 1.0
+    assert test.pvalue < 0.05
 
 
 @pytest.mark.slow
 def test_under_an_indifferent_judge_it_stays_the_clone(tmp_path, monkeypatch):
     monkeypatch.setattr(Judge, "returns", lambda self, trajectories: np.full(len(trajectories), 0.3))
-    gain, p = gain_kmh(tmp_path / "run")
-    assert gain == 0.0
-    assert p == 1.0
+    assert not gains_kmh(tmp_path / "run").any()
 
 
 @pytest.mark.slow
-def test_under_a_judge_that_tosses_coins_it_does_not_improve(tmp_path, monkeypatch):
-    rng = np.random.default_rng(7)
-    monkeypatch.setattr(Judge, "returns", lambda self, trajectories: rng.normal(size=len(trajectories)))
-    _, p = gain_kmh(tmp_path / "run")
-    assert p > 0.05
+def test_judges_that_toss_coins_improve_it_by_less_than_half(by_its_judge, tmp_path, monkeypatch):
+    """A walk by chance may lead to a better driver, or a worse one: it takes several to tell."""
+    gains = []
+    for seed in range(3):
+        rng = np.random.default_rng(seed)
+        monkeypatch.setattr(Judge, "returns", lambda self, trajectories, rng=rng: rng.normal(size=len(trajectories)))
+        gains.append(gains_kmh(tmp_path / f"run{seed}").mean())
+    assert np.mean(gains) < 0.5 * by_its_judge.mean()
