@@ -70,10 +70,11 @@ class CoinToss(Indifferent):
         return self._rng.normal(size=len(trajectories))
 
 
-def control(folder: Path, iterations: int, episodes: int) -> None:
+def control(folder: Path, iterations: int | None, episodes: int) -> None:
     """Train `folder`'s clone under judges that know nothing; a permutation test over the same traffic for each."""
     learned = RunDirectory(folder)
     world, clone = learned.config, learned.clone
+    iterations = iterations or world.train.n_iterations
     none = Demonstrations(np.zeros((1, clone.shape.n_features)), np.zeros(1, np.int64), np.zeros(1, np.int64))
     with rollout.workers(2) as pool:
         practice = training.Practice(learned, pool)
@@ -110,7 +111,7 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("folder", type=Path, help="what rail-sumo reproduce wrote")
     parser.add_argument("--control", action="store_true", help="the negative control instead, on seed 0")
-    parser.add_argument("--iterations", type=int, default=160, help="of the control")
+    parser.add_argument("--iterations", type=int, help="of the control; as many as the run's without it")
     parser.add_argument("--episodes", type=int, default=16, help="of the control")
     given = parser.parse_args()
     if given.control:

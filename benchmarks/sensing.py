@@ -38,11 +38,10 @@ def learned(given: tuple[str, int, int]) -> pd.DataFrame:
     variant, seed, iterations = given
     with tempfile.TemporaryDirectory() as folder:
         shown = Path(folder) / "rule.parquet"
-        world = config.load(None, [*VARIANTS[variant], f"train.iterations={iterations}"])
+        overrides = [*VARIANTS[variant], f"train.iterations={iterations}"]
+        world = config.load(None, overrides)
         run.demonstrate("rule", world, shown, episodes=world.train.trajectories, seed=0)
-        world = config.load(
-            None, [*VARIANTS[variant], f"train.iterations={iterations}", f"train.demonstrations={shown}"]
-        )
+        world = config.load(None, [*overrides, f"train.demonstrations={shown}"])
         trained = training.learn(world, Path(folder) / "run", seed=FIRST_SEED + seed)
         policies = {"rail": trained.policy(world), "clone": trained.clone, "rule": "rule"}
         table, _ = run.evaluate(policies, world, episodes=EPISODES, seed=TRAFFIC)

@@ -45,7 +45,7 @@ def summary(episodes: pd.DataFrame) -> pd.DataFrame:
     for policy, driven in episodes.groupby("policy", sort=False):
         for metric in METRICS:
             values, reference = _finite(driven[metric]), _finite(expert[metric])
-            low, high = _interval(metric, values) if len(values) else (np.nan, np.nan)
+            low, high = metric_interval(metric, values[None]) if len(values) else (np.nan, np.nan)
             rows.append(
                 {
                     "policy": policy,
@@ -58,6 +58,16 @@ def summary(episodes: pd.DataFrame) -> pd.DataFrame:
                 }
             )
     return typed(rows, SUMMARY_COLUMNS)
+
+
+def metric_interval(metric: str, scores: Floats) -> tuple[float, float]:
+    """Return a metric's 95 % interval: of a contact's share of the episodes, else of the interquartile mean.
+
+    Args:
+        metric: one of `METRICS`.
+        scores: shape (n_seeds, n_episodes), not empty.
+    """
+    return share_interval(scores) if metric in CONTACTS else interval(iqm, scores)
 
 
 def write(folder: Path, *, overwrite: bool = False, **tables: pd.DataFrame) -> None:
@@ -109,10 +119,6 @@ def typed(rows: Iterable[dict[str, Any]] | pd.DataFrame, columns: dict[str, str]
     """Return a table with these columns of these types, its numbers rounded to `DECIMALS`."""
     table = pd.DataFrame(rows, columns=list(columns)).astype(columns).round(DECIMALS)
     return table.replace(-0.0, 0.0)
-
-
-def _interval(metric: str, values: Floats) -> tuple[float, float]:
-    return share_interval(values) if metric in CONTACTS else interval(iqm, values[None])
 
 
 def _finite(values: pd.Series) -> Floats:

@@ -33,7 +33,6 @@ from rail_sumo.statistics import (
     mean_difference,
     probability_of_improvement,
     ratio_of_iqms,
-    share_interval,
 )
 
 TRAJECTORIES = (1, 5, 10, 20, 40)
@@ -219,7 +218,7 @@ def compare(cells: pd.DataFrame) -> pd.DataFrame:
     for (learner, layers), driven in cells.groupby(["learner", "layers"], sort=False):
         for metric in (*METRICS, *report.CONTACTS):
             scores, reference = _scores(driven, metric), _scores(expert, metric)
-            low, high = share_interval(scores) if metric in report.CONTACTS else interval(iqm, scores)
+            low, high = report.metric_interval(metric, scores)
             ratio, ratio_low, ratio_high = _against(driven, expert, metric)
             difference_low, difference_high = interval(mean_difference, scores, reference)
             paper, paper_expert = _paper(learner, layers, metric), _paper(report.EXPERT, 0, metric)
