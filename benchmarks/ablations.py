@@ -12,6 +12,7 @@ Trainings of as many iterations and episodes that are in `out` already are taken
 import argparse
 import itertools
 import tempfile
+from collections import deque
 from dataclasses import dataclass, replace
 from pathlib import Path
 from unittest import mock
@@ -23,12 +24,16 @@ from scipy import stats
 
 from rail_sumo import config, rollout, run, training
 from rail_sumo.imitation import rail
+from rail_sumo.imitation.discriminator import Judge
 from rail_sumo.imitation.random_search import RandomSearch
+from rail_sumo.records import Trajectory
 
 TRAFFIC = 10**6
 """The seed of the traffic on which all are compared."""
 FIRST_SEED = 100
 """Of the trainings, far from those that are reported."""
+AVERAGING = 0.95
+"""What a theta weighs in the running average, of what the next one does."""
 SHOWN = ["speed_kmh", "overtakes", "lane_changes", "lateral_reward"]
 
 
@@ -39,6 +44,18 @@ class Ranked(RandomSearch):
         ranks = stats.rankdata([*returns_plus, *returns_minus])
         shaped = (ranks - 1) / (len(ranks) - 1) - 0.5
         return super().tell(deltas, shaped[: len(deltas)], shaped[len(deltas) :])
+
+
+def shrinking(search: type[RandomSearch]) -> type[RandomSearch]:
+    """A search whose steps become smaller by 1 % an iteration."""
+
+    class Shrinking(search):
+        def tell(self, deltas, returns_plus, returns_minus):
+            length = super().tell(deltas, returns_plus, returns_minus)
+            self.step_size *= 0.99
+            return length
+
+    return Shrinking
 
 
 def clipped_up(search: type[RandomSearch]) -> type[RandomSearch]:
@@ -64,6 +81,19 @@ def clipped_up(search: type[RandomSearch]) -> type[RandomSearch]:
     return ClippedUp
 
 
+class Remembering:
+    """A judge that learns from the learner's last three iterations, not from the newest alone."""
+
+    def __init__(self, judge: Judge) -> None:
+        self._judge = judge
+        self._last: deque[list[Trajectory]] = deque(maxlen=3)
+        self.returns = judge.returns
+
+    def fit(self, expert, learner, rng):
+        self._last.append(list(learner))
+        return self._judge.fit(expert, list(itertools.chain.from_iterable(self._last)), rng)
+
+
 @dataclass(frozen=True)
 class Choice:
     """What is done by default, and what could be done instead."""
@@ -77,17 +107,19 @@ class Choice:
 
 RANKS = Choice("shaping", "returns as they are", "their ranks")
 CLIP_UP = Choice("step", "by the gradient", "ClipUp")
+SHRINKING = Choice("its length", "as it comes", "1 % less each time")
 TRAFFICS = Choice("traffic of + and -", "the same", "one each")
+MEMORY = Choice("the judge learns from", "the newest iteration", "the last three")
 CHOICES = [
     Choice("search.n_top", "all 16", "8", "search.n_top=8"),
-    Choice("search.step_decay", "0.99", "1", "search.step_decay=1.0"),
     Choice("search.step_size", "0.05", "0.1", "search.step_size=0.1"),
     Choice("search.noise_std", "0.1", "0.05", "search.noise_std=0.05"),
     RANKS,
     CLIP_UP,
+    SHRINKING,
     TRAFFICS,
-    Choice("judge.gradient_penalty", "0.02", "0.2", "judge.gradient_penalty=0.2"),
-    Choice("judge.replay_iterations", "3", "1", "judge.replay_iterations=1"),
+    MEMORY,
+    Choice("judge.learning_rate", "3e-4", "1e-3", "judge.learning_rate=1e-3"),
     Choice("judge.minibatches", "10", "30", "judge.minibatches=30"),
     Choice("policy.hidden", "32", "64", "policy.hidden=64"),
     Choice("cloning.epochs", "100", "300", "cloning.epochs=300"),
@@ -117,12 +149,13 @@ class Training:
 
 
 def train(this: Training) -> pd.DataFrame:
-    """Train with the choices taken; a row for the running average of theta, and one for the last theta."""
+    """Train with the choices taken; a row for the last theta, and one for a running average of it."""
     overrides = [choice.override for choice in CHOICES if choice.name in this.taken and choice.override]
     world = config.load(None, [*overrides, "train.iterations=0"])
     seed = FIRST_SEED + this.number
     search = Ranked if RANKS.name in this.taken else RandomSearch
     search = clipped_up(search) if CLIP_UP.name in this.taken else search
+    search = shrinking(search) if SHRINKING.name in this.taken else search
     with (
         tempfile.TemporaryDirectory() as folder,
         rollout.workers(1) as pool,
@@ -130,20 +163,20 @@ def train(this: Training) -> pd.DataFrame:
     ):
         begun = training.learn(world, Path(folder) / "run", seed=seed)
         clone, practice = begun.clone, training.Practice(begun, pool)
+        judge = training.judge_of(begun)
         states = rail.train(
             clone.theta,
             training.demonstrations_of(world),
             search=world.search,
-            judge=training.judge_of(begun),
+            judge=Remembering(judge) if MEMORY.name in this.taken else judge,
             evaluate=lambda theta, perturbations, number: practice.pairs(
                 replace(clone, theta=theta), perturbations, number, shared_traffic=TRAFFICS.name not in this.taken
             ),
             seed=seed,
         )
-        average = clone.theta
-        for state in itertools.islice(states, this.iterations):
-            average = training.averaged(average, state.theta, world.search.averaging, state.iteration)
-    policies = {"average": replace(clone, theta=average), "last": replace(clone, theta=state.theta), "clone": clone}
+        thetas = [state.theta for state in itertools.islice(states, this.iterations)]
+    average = np.average(thetas, axis=0, weights=AVERAGING ** np.arange(len(thetas), 0, -1))
+    policies = {"last": replace(clone, theta=thetas[-1]), "average": replace(clone, theta=average), "clone": clone}
     table, _ = run.evaluate(
         {**policies, "expert": run.find_driver("expert", world)}, world, episodes=this.episodes, seed=TRAFFIC
     )
@@ -187,7 +220,7 @@ def main() -> None:
         print(f"\n{policy}: " + ", ".join(f"{name} {rows[name].mean():.3f}" for name in [*SHOWN, "collisions"]))
     for metric in SHOWN:
         print(f"\n{metric}, ratio to the expert's: what the other way adds")
-        table = effects(done[done["policy"] == "average"], metric).assign(
+        table = effects(done[done["policy"] == "last"], metric).assign(
             default=[choice.default for choice in CHOICES], instead=[choice.instead for choice in CHOICES]
         )
         print(table.round(3).to_string())

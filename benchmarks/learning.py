@@ -93,10 +93,8 @@ def control(folder: Path, iterations: int | None, episodes: int) -> None:
             states = rail.train(
                 clone.theta, none, search=world.search, judge=judge, evaluate=evaluate, seed=learned.seed
             )
-            average = clone.theta
-            for state in itertools.islice(states, iterations):
-                average = training.averaged(average, state.theta, world.search.averaging, state.iteration)
-            contenders[f"{name}, {iterations} iterations"] = speeds(replace(clone, theta=average))
+            *_, last = itertools.islice(states, iterations)
+            contenders[f"{name}, {iterations} iterations"] = speeds(replace(clone, theta=last.theta))
     print(f"clone: {by_clone.mean():.2f} km/h over {episodes} held-out episodes")
     for name, speed in contenders.items():
         test = stats.permutation_test(

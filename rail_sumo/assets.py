@@ -9,7 +9,6 @@ from pathlib import Path
 from rail_sumo.errors import InputError, did_you_mean
 
 NETWORK_SUFFIX = ".net.xml"
-CONFIGURATION_SUFFIX = ".toml"
 ROUTES_SUFFIX = ".rou.xml"
 MANIFEST = "manifest.json"
 """Names an expert's files with their SHA-256, and tells how it was made."""
@@ -37,22 +36,6 @@ def routes(name_or_path: str) -> Path:
 def network_names() -> tuple[str, ...]:
     """Return the shipped networks' names in alphabetical order."""
     return _names("networks", NETWORK_SUFFIX)
-
-
-def configuration(name_or_path: str) -> Path:
-    """Return the file of a shipped configuration, or the user's own.
-
-    Raises:
-        InputError: an unknown name (with a suggestion), no such file, or one that cannot be read.
-    """
-    presets = {path.stem: path for path in (_PACKAGE / "presets").glob(f"*{CONFIGURATION_SUFFIX}")}
-    if name_or_path in presets:
-        return presets[name_or_path]
-    if Path(name_or_path).suffix or Path(name_or_path).exists():
-        return _readable("configuration", Path(name_or_path))
-    raise InputError(
-        f"configuration '{name_or_path}' is neither a file nor shipped{did_you_mean(name_or_path, presets)}"
-    )
 
 
 def expert(filename: str, folder: Path | None = None) -> Path:

@@ -34,10 +34,7 @@ network = typer.Typer(help="Look at networks before driving on them.", no_args_i
 app.add_typer(expert, name="expert")
 app.add_typer(network, name="network")
 
-ConfigFile = Annotated[
-    str | None,
-    typer.Argument(metavar="CONFIG", help="A .toml, or `paper` for the plain algorithm. Without one, all defaults."),
-]
+ConfigFile = Annotated[Path | None, typer.Argument(metavar="CONFIG", help="A .toml. Without one, all defaults.")]
 Overrides = Annotated[
     list[str] | None, typer.Option("--set", metavar="SECTION.KEY=VALUE", help="Change one key; repeatable.")
 ]
@@ -72,12 +69,12 @@ def train(
     from rail_sumo.run_directory import CONFIG, RunDirectory
     from rail_sumo.tensorboard import Events
 
-    out = out or Path("runs", f"{Path(config_file).stem if config_file else 'default'}-seed{seed or 0}")
+    out = out or Path("runs", f"{config_file.stem if config_file else 'default'}-seed{seed or 0}")
     if resume:  # as it was started, where nothing else is said
         started = RunDirectory(out)
-        config_file = config_file or str(out / CONFIG)
+        config_file = config_file or out / CONFIG
         seed = started.seed if seed is None else seed
-    chosen = _configuration(config_file, overrides)
+    chosen = config.load(config_file, overrides or ())
     n_workers = _workers(workers)
     try:
         with _bars() as bars:
@@ -147,7 +144,7 @@ def reproduce(
     """Repeat the paper's experiments; what is in the folder already is not done again."""
     from rail_sumo import reproduce
 
-    chosen = _configuration(config_file, overrides)
+    chosen = config.load(config_file, overrides or ())
     run = reproduce.table1 if experiment == "table1" else reproduce.figures
     n_seeds = (2 if quick else 10) if seeds is None else seeds
     n_workers = _workers(workers)
@@ -177,7 +174,7 @@ def train_expert(
     n_workers = _workers(workers)
     with _bars() as observer:
         tables = expert.train(
-            _configuration(config_file, overrides), out, seed=seed, workers=n_workers, observer=observer
+            config.load(config_file, overrides or ()), out, seed=seed, workers=n_workers, observer=observer
         )
     _show(tables, out)
 
@@ -196,7 +193,7 @@ def record(
     """Record what a driver sees and carries out, for `train.demonstrations` to learn from."""
     from rail_sumo import run
 
-    world = _configuration(config_file, overrides)
+    world = config.load(config_file, overrides or ())
     n_workers = _workers(workers)
     with _bars() as observer:
         demonstrations = run.demonstrate(
@@ -235,10 +232,6 @@ def list_networks() -> None:
 
     for name in assets.network_names():
         print(_describe(road.load(name)))
-
-
-def _configuration(name_or_path: str | None, overrides: list[str] | None) -> config.Config:
-    return config.load(assets.configuration(name_or_path) if name_or_path else None, overrides or ())
 
 
 def _world(network: str | None, routes: list[str] | None, overrides: list[str] | None) -> list[str]:

@@ -147,10 +147,6 @@ class Search(_Section):
     step_size: Positive = 0.05
     noise_std: Positive = 0.1
     """Smaller, and what a perturbation changes drowns in what traffic does; larger, and it is another driver."""
-    step_decay: Annotated[float, Field(gt=0.0, le=1.0)] = 0.99
-    """The step size shrinks by this factor every iteration; 1 keeps it."""
-    averaging: Annotated[float, Field(ge=0.0, lt=1.0)] = 0.95
-    """The learned policy is a running average of the search's: how much the past weighs in it; 0 takes the last."""
 
     @property
     def kept(self) -> int:
@@ -167,10 +163,6 @@ class Search(_Section):
             "noise_std": self.noise_std,
         }
 
-    def step_size_at(self, iteration: int) -> float:
-        """Return the step size of an iteration, the first being number 1."""
-        return self.step_size * self.step_decay ** (iteration - 1)
-
     @model_validator(mode="after")
     def _top(self) -> "Search":
         if self.kept > self.n_directions:
@@ -186,10 +178,7 @@ class Judge(_Section):
     minibatches: Count = 10
     """For every iteration. With many more it learns its demonstrations by heart."""
     batch_size: Count = 512
-    gradient_penalty: NonNegative = 0.02
     reward_clip: Positive = 5.0
-    replay_iterations: Count = 3
-    """How many iterations' learner trajectories the judge is trained on, the newest included."""
 
 
 class Rail(_Section):
@@ -348,7 +337,9 @@ def load(path: Path | None = None, overrides: Iterable[str] = ()) -> Config:
         try:
             tree = tomllib.loads(path.read_text(encoding="utf-8"))
         except OSError as error:
-            raise InputError(f"cannot read configuration '{path}': {error.strerror}") from None
+            raise InputError(
+                f"cannot read configuration '{path}': {error.strerror} (current folder: {Path.cwd()})"
+            ) from None
         except (tomllib.TOMLDecodeError, UnicodeDecodeError) as error:
             raise InputError(f"configuration '{path}' is not valid TOML: {error}") from None
     for override in overrides:

@@ -26,8 +26,6 @@ if TYPE_CHECKING:  # torch takes seconds to import, and not every command trains
     from rail_sumo.imitation import rail
     from rail_sumo.imitation.discriminator import Judge, JudgeLoss
 
-THETA = "theta_now"
-"""The name in a checkpoint of where the search is; what has been learned is an average over where it was."""
 PPO, MOMENTS = "ppo.", "moments."
 """What the names of PPO's tensors, and of the observations' moments, begin with in a checkpoint."""
 
@@ -121,9 +119,8 @@ def _rail(practice: Practice, checkpoint: Checkpoint, demonstrations: Demonstrat
 
     run, start = practice.run, checkpoint.learned
     judge = judge_of(run)
-    average = start.theta
     for state in rail.train(
-        checkpoint.memory.get(THETA, start.theta),
+        start.theta,
         demonstrations,
         search=run.config.search,
         judge=paid_by(judge, run.config),
@@ -133,10 +130,9 @@ def _rail(practice: Practice, checkpoint: Checkpoint, demonstrations: Demonstrat
         seed=run.seed,
         first_iteration=checkpoint.iteration + 1,
     ):
-        average = averaged(average, state.theta, run.config.search.averaging, state.iteration)
-        memory = {THETA: state.theta} | _named(JUDGES, judge.state())
         figures = _verdict(state.judge_loss) | {"mean_return": state.mean_return, "step_norm": state.step_norm}
-        yield Iteration(replace(start, theta=average), memory, [*state.plus, *state.minus], figures)
+        learned = replace(start, theta=state.theta)
+        yield Iteration(learned, _named(JUDGES, judge.state()), [*state.plus, *state.minus], figures)
 
 
 def _gail(practice: Practice, checkpoint: Checkpoint, demonstrations: Demonstrations) -> Iterator[Iteration]:
@@ -190,9 +186,9 @@ def _ars(practice: Practice, checkpoint: Checkpoint, demonstrations: Demonstrati
     from rail_sumo.imitation import ars
 
     run, start = practice.run, checkpoint.learned
-    average, moments = start.theta, _part(MOMENTS, checkpoint.memory)
+    moments = _part(MOMENTS, checkpoint.memory)
     for state in ars.train(
-        checkpoint.memory.get(THETA, start.theta),
+        start.theta,
         ars.Moments(**moments) if moments else ars.Moments.none(start.shape.n_features),
         search=run.config.search,
         whiten=run.config.ars.whitening,
@@ -203,11 +199,9 @@ def _ars(practice: Practice, checkpoint: Checkpoint, demonstrations: Demonstrati
         seed=run.seed,
         first_iteration=checkpoint.iteration + 1,
     ):
-        average = averaged(average, state.theta, run.config.search.averaging, state.iteration)
-        learned = replace(start, theta=average, whitening=state.whitening)
-        memory = {THETA: state.theta} | _named(MOMENTS, vars(state.moments))
+        learned = replace(start, theta=state.theta, whitening=state.whitening)
         figures = {"mean_return": state.mean_return, "step_norm": state.step_norm}
-        yield Iteration(learned, memory, state.driven, figures)
+        yield Iteration(learned, _named(MOMENTS, vars(state.moments)), state.driven, figures)
 
 
 def _cloning(practice: Practice, checkpoint: Checkpoint, demonstrations: Demonstrations) -> Iterator[Iteration]:
@@ -263,11 +257,6 @@ def paid_by(judge: "Judge", config: Config) -> "rail.Judge":
 def horizon_decisions(config: Config) -> int:
     """Return the number of decisions in a training rollout that nothing cuts short."""
     return round(config.train.horizon_s / config.episode.decision_period_s)
-
-
-def averaged(average: Floats, theta: Floats, averaging: float, iteration: int) -> Floats:
-    """Return theta's running average after an iteration, the clone left out (weights as Adam corrects its moments')."""
-    return average + (1.0 - averaging) / (1.0 - averaging**iteration) * (theta - average)
 
 
 def _verdict(loss: "JudgeLoss") -> dict[str, float]:

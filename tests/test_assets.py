@@ -5,7 +5,7 @@ from pathlib import Path
 
 import pytest
 
-from rail_sumo import assets, config
+from rail_sumo import assets
 from rail_sumo.errors import InputError
 
 
@@ -129,24 +129,3 @@ def test_another_projects_folder_is_not_mistaken_for_ours(package, pyproject):
         (package.parent / "pyproject.toml").write_text(pyproject)
     with pytest.raises(InputError, match=r"reinstall rail-sumo$"):
         assets.data_root()
-
-
-def test_the_papers_algorithm_is_shipped_and_takes_off_what_we_added():
-    printed = config.load(assets.configuration("paper")).model_dump()
-    default = config.Config().model_dump()
-    changed = {
-        f"{section}.{key}"
-        for section, values in printed.items()
-        for key, value in values.items()
-        if value != default[section][key]
-    }
-    assert changed == {"search.step_decay", "search.averaging", "judge.replay_iterations", "judge.gradient_penalty"}
-    assert printed["search"]["n_top"] == "all"
-
-
-def test_a_users_own_configuration_passes_through_but_never_hides_a_shipped_one(tmp_path, monkeypatch):
-    monkeypatch.chdir(tmp_path)
-    for name in ("mine", "paper"):
-        (tmp_path / name).touch()
-    assert assets.configuration("mine") == Path("mine")
-    assert assets.configuration("paper") != Path("paper")

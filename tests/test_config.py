@@ -1,6 +1,7 @@
 import math
 import re
 import tomllib
+from pathlib import Path
 from typing import Annotated, Union, get_args, get_origin
 
 import annotated_types
@@ -268,8 +269,8 @@ def test_a_file_that_cannot_be_read_or_is_no_toml_is_named(tmp_path):
     broken.write_text("[traffic")
     binary.write_bytes(b"\xff\xfe")
     for path, message in (
-        (missing, f"cannot read configuration '{missing}': No such file or directory"),
-        (tmp_path, f"cannot read configuration '{tmp_path}': Is a directory"),
+        (missing, f"cannot read configuration '{missing}': No such file or directory (current folder: {Path.cwd()})"),
+        (tmp_path, f"cannot read configuration '{tmp_path}': Is a directory (current folder: {Path.cwd()})"),
     ):
         with pytest.raises(InputError, match=line(message)):
             config.load(path)

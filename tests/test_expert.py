@@ -4,7 +4,7 @@ import json
 import numpy as np
 import pytest
 
-from rail_sumo import config, drivers, expert, run
+from rail_sumo import assets, config, drivers, expert, run
 from rail_sumo.assets import sha256
 from rail_sumo.errors import InputError
 from rail_sumo.imitation import ppo
@@ -38,6 +38,10 @@ def test_the_manifest_names_every_file_and_how_it_was_made(trained):
     # From 60 km/h it takes 2.8 s at 2 m/s² to 80 km/h; traffic ahead may hold it up, but never below the start.
     assert 60.0 < manifest["evaluation"]["speed_kmh"] <= 80.0
     assert config.load(trained / "config.toml") == SHORT
+
+
+def test_the_shipped_recipe_is_the_world_that_everybody_else_drives_in_by_default():
+    assert run.world([str(assets.data_root() / "expert")]) == config.Config()
 
 
 def test_the_demonstrations_are_its_own_on_other_traffic_than_the_evaluation(trained):

@@ -11,7 +11,6 @@ SHORT = (
     "cloning.epochs=20",  # a clone that leaves something to gain
     "train.iterations=30",
     "search.n_directions=8",
-    "search.averaging=0.0",
     "train.evaluation_episodes=48",
     "train.horizon_s=120",
     "episode.duration_s=180",

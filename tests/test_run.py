@@ -18,7 +18,6 @@ from rail_sumo.highway.reward import total_reward
 from rail_sumo.imitation.demonstrations import Demonstrations
 from rail_sumo.records import Trajectory
 from rail_sumo.run_directory import CHECKPOINT, CLONE, JUDGE, POLICY, PROGRESS, PROGRESS_COLUMNS, RunDirectory
-from rail_sumo.training import THETA
 
 N_FEATURES = 8
 
@@ -203,23 +202,6 @@ def test_every_policy_is_evaluated_on_the_same_traffic(driven):
     assert keep["seed"].nunique() == 3
     more, _ = run.evaluate({"keep": "keep"}, config.Config(), episodes=4, seed=5)
     assert list(more["seed"][:3]) == list(keep["seed"])
-
-
-@pytest.mark.parametrize("learner", ["rail", "ars"])
-@pytest.mark.parametrize("averaging", [0.0, 0.5, 0.9])
-def test_what_is_learned_is_a_running_average_of_the_search_without_the_clone(
-    small, driven, tmp_path, monkeypatch, learner, averaging
-):
-    thetas = []
-    save = RunDirectory.save
-    monkeypatch.setattr(RunDirectory, "save", lambda run, at: thetas.append(at.memory.get(THETA)) or save(run, at))
-    changed = {"search": {"averaging": averaging}, "train": {"learner": learner}}
-    sections = {name: getattr(small, name).model_copy(update=update) for name, update in changed.items()}
-    run.train(small.model_copy(update=sections), tmp_path / "run", seed=1)
-    weights = averaging ** np.arange(2.0, -1.0, -1.0)
-    learned = load_file(tmp_path / "run" / POLICY)["theta"]
-    np.testing.assert_allclose(learned, np.average(thetas[1:], axis=0, weights=weights))
-    assert np.ptp(thetas[1:], axis=0).max() > 0.0
 
 
 def test_demonstrations_are_what_was_seen_and_decided(driven, tmp_path):

@@ -96,7 +96,6 @@ def train(
     ars = RandomSearch(theta, **search.knobs)
     as_they_are = Moments.none(len(moments.mean)).whitening
     for iteration in itertools.count(first_iteration):
-        ars.step_size = search.step_size_at(iteration)
         deltas = ars.ask(np.random.default_rng(np.random.SeedSequence(seed, spawn_key=(*b"ars", iteration))))
         whitening = moments.whitening if whiten else as_they_are
         plus, minus = evaluate(ars.theta, whitening, ars.noise_std * deltas, iteration)

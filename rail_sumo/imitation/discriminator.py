@@ -5,7 +5,6 @@ some of its outputs leave (0, 1), where log D - log(1 - D) is undefined and a cl
 sigmoid, which makes that reward the network's own output, the logit.
 """
 
-from collections import deque
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
@@ -30,11 +29,11 @@ class JudgeLoss:
     """How well the judge tells expert and learner apart after a fit."""
 
     loss: float
-    """Least-squares loss, without the gradient penalty; 0.25 when they look the same, 0.0 when nothing is in doubt."""
+    """Least-squares loss; 0.25 when they look the same, 0.0 when nothing is in doubt."""
     expert_mean: float
     """Mean of D over the expert's pairs."""
     learner_mean: float
-    """Mean of D over the learner's newest pairs."""
+    """Mean of D over the learner's pairs."""
 
 
 class Judge:
@@ -62,8 +61,6 @@ class Judge:
         self._horizon_decisions = horizon_decisions
         self._logit = perceptron([n_features + N_ACTIONS, *settings.hidden, 1], rng)
         self._adam = torch.optim.Adam(self._logit.parameters(), lr=settings.learning_rate)
-        # Pairs of earlier iterations, oldest first; each fit adds the newest one's itself.
-        self._replay: deque[Tensor] = deque(maxlen=settings.replay_iterations - 1)
 
     @single_threaded()
     def fit(self, expert: Demonstrations, learner: Sequence[Trajectory], rng: np.random.Generator) -> JudgeLoss:
@@ -71,24 +68,21 @@ class Judge:
 
         Args:
             expert: what was demonstrated.
-            learner: the newest rollouts; those of the last `replay_iterations` fits are trained on, these included.
+            learner: the iteration's rollouts.
             rng: draws the minibatches.
         """
         expert_pairs = self._pairs(expert.observations, expert.actions)
-        newest_pairs = self._pairs(*_decisions(learner))
-        learner_pairs = torch.cat([*self._replay, newest_pairs])
+        learner_pairs = self._pairs(*_decisions(learner))
         for _ in range(self._settings.minibatches):
             expert_batch = _draw(expert_pairs, self._settings.batch_size, rng)
             learner_batch = _draw(learner_pairs, self._settings.batch_size, rng)
             loss = least_squares(self._judge(expert_batch), self._judge(learner_batch))
-            penalty = self._squared_slope(expert_batch, learner_batch, rng)
             self._adam.zero_grad()
-            (loss + self._settings.gradient_penalty * penalty).backward()
+            loss.backward()
             self._adam.step()
-        self._replay.append(newest_pairs)
 
         with torch.inference_mode():
-            on_expert, on_learner = self._judge(expert_pairs), self._judge(newest_pairs)
+            on_expert, on_learner = self._judge(expert_pairs), self._judge(learner_pairs)
         return JudgeLoss(least_squares(on_expert, on_learner).item(), on_expert.mean().item(), on_learner.mean().item())
 
     @single_threaded()
@@ -124,11 +118,8 @@ class Judge:
         )
 
     def state(self) -> dict[str, NDArray[Any]]:
-        """Return copies of all that a later fit depends on: weights, Adam's moments, replayed pairs."""
-        state = training_state(self._logit, self._adam)
-        for age, pairs in enumerate(reversed(self._replay), start=1):
-            state[f"replay.{age}"] = pairs.numpy().copy()
-        return state
+        """Return copies of all that a later fit depends on: weights and Adam's moments."""
+        return training_state(self._logit, self._adam)
 
     def load_state(self, state: Mapping[str, NDArray[Any]]) -> None:
         """Go on from what `state` returned.
@@ -138,9 +129,6 @@ class Judge:
             ValueError: a weight has another shape than this judge's.
         """
         load_training_state(self._logit, self._adam, state)
-        n_replayed = sum(key.startswith("replay.") for key in state)
-        self._replay.clear()
-        self._replay.extend(torch.tensor(state[f"replay.{age}"]) for age in range(n_replayed, 0, -1))
 
     def _pairs(self, observations: Floats, actions: NDArray[np.int64]) -> Tensor:
         """Return the network's inputs, shape (n, n_features + 5): whitened observation, one-hot action."""
@@ -149,16 +137,6 @@ class Judge:
 
     def _judge(self, pairs: Tensor) -> Tensor:
         return torch.sigmoid(self._logit(pairs)[:, 0])
-
-    def _squared_slope(self, expert: Tensor, learner: Tensor, rng: np.random.Generator) -> Tensor:
-        """Return the mean squared gradient of D between the two sides: it keeps D from becoming a cliff.
-
-        Source: zero-centred gradient penalty (Thanh-Tung et al. 2019).
-        """
-        share = torch.from_numpy(rng.random((len(expert), 1), dtype=np.float32))
-        between = (share * expert + (1.0 - share) * learner).requires_grad_()
-        (slope,) = torch.autograd.grad(self._judge(between).sum(), between, create_graph=True)
-        return slope.square().sum(dim=1).mean()
 
     def _return(self, rewards: Floats, *, crashed: bool) -> float:
         if not crashed:

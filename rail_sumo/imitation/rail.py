@@ -74,7 +74,6 @@ def train(
     """
     ars = RandomSearch(theta, **search.knobs)
     for iteration in itertools.count(first_iteration):
-        ars.step_size = search.step_size_at(iteration)
         rng = np.random.default_rng(np.random.SeedSequence(seed, spawn_key=(*b"rail", iteration)))
         deltas = ars.ask(rng)  # line 2
         plus, minus = evaluate(ars.theta, ars.noise_std * deltas, iteration)  # lines 3-6: same traffic for both
