@@ -15,7 +15,7 @@ import numpy as np
 import pandas as pd
 from scipy import stats
 
-from rail_sumo import metrics, reproduce, rollout, training
+from rail_sumo import experiment, metrics, rollout, training
 from rail_sumo.imitation import rail
 from rail_sumo.imitation.demonstrations import Demonstrations
 from rail_sumo.imitation.discriminator import JudgeLoss
@@ -34,7 +34,7 @@ def seed_by_seed(out: Path) -> pd.DataFrame:
     for (learner, layers, trajectories, seed), driven in means[means.index.get_level_values("layers") > 0].iterrows():
         ratios = driven[SHOWN] / means.loc[("expert", 0, 0, seed), SHOWN]
         clones = means["speed_kmh"].get(("bc", layers, trajectories, seed), np.nan)
-        progress = pd.read_csv(out / "runs" / reproduce.Cell(learner, layers, trajectories, seed).name / PROGRESS)
+        progress = pd.read_csv(out / "runs" / experiment.Cell(learner, layers, trajectories, seed).name / PROGRESS)
         rows.append({
             "learner": learner,
             "layers": layers,

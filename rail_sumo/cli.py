@@ -133,7 +133,7 @@ def plot(
 
 @app.command()
 def reproduce(
-    experiment: Annotated[Literal["table1", "figures"], typer.Argument(help="Table 1, or Figures 3 and 4.")],
+    what: Annotated[Literal["table1", "figures"], typer.Argument(help="Table 1, or Figures 3 and 4.")],
     config_file: ConfigFile = None,
     overrides: Overrides = None,
     out: Annotated[Path, typer.Option(help="Folder for cells, table and figures.")] = Path("runs/reproduce"),
@@ -143,20 +143,21 @@ def reproduce(
 ) -> None:
     """Repeat the paper's experiments; what is in the folder already is not done again."""
     from rail_sumo import reproduce
+    from rail_sumo.experiment import Experiment
 
     chosen = config.load(config_file, overrides or ())
-    run = reproduce.table1 if experiment == "table1" else reproduce.figures
     n_seeds = (2 if quick else 10) if seeds is None else seeds
     n_workers = _workers(workers)
     try:
-        with _bars() as observer:
-            run(chosen, out, seeds=n_seeds, quick=quick, workers=n_workers, observer=observer)
+        with _bars() as bars:
+            experiment = Experiment(chosen, out, seeds=n_seeds, quick=quick, workers=n_workers, observer=bars)
+            reproduce.table1(experiment) if what == "table1" else reproduce.figures(experiment)
     except KeyboardInterrupt:
         print("rail-sumo: interrupted; the same command goes on", file=sys.stderr)
         raise typer.Exit(130) from None
-    if experiment == "table1":
+    if what == "table1":
         print((out / "table1.md").read_text(encoding="utf-8"), end="")
-    print(f"{experiment} in {out}")
+    print(f"{what} in {out}")
 
 
 @expert.command("train")

@@ -1,39 +1,17 @@
-"""The paper's experiments: every learner trained on several seeds, their Table 1, and Figures 3 and 4.
-
-An experiment is a grid of cells. A cell is one training, or one driver that does not train, evaluated on the held-out
-traffic of its seed. Trainings are run directories under `runs/`, so that an experiment which is interrupted goes on
-with the iteration that it was at; what a finished cell came to is one file under `cells/`, which also tells the
-configuration and the files that it follows from.
-"""
+"""The paper's experiments: Table 1 and Figures 3 and 4, from many trainings in place of one."""
 
 import itertools
-import json
-import re
-import tomllib
-from collections.abc import Iterable, Sequence
-from dataclasses import dataclass
-from pathlib import Path
+from collections.abc import Iterable
 from typing import Any
 
 import numpy as np
 import pandas as pd
-import pyarrow as pa
-import pyarrow.parquet as pq
 
-from rail_sumo import assets, drivers, plot, report, rollout, run, training
-from rail_sumo.config import Config, dumps, validate
-from rail_sumo.errors import InputError
-from rail_sumo.files import check_folder, whole_file
-from rail_sumo.records import EPISODE_COLUMNS, Floats
-from rail_sumo.rollout import SILENT, Observer, WorkerCount
-from rail_sumo.run_directory import RunDirectory
-from rail_sumo.statistics import (
-    interval,
-    iqm,
-    mean_difference,
-    probability_of_improvement,
-    ratio_of_iqms,
-)
+from rail_sumo import plot, report
+from rail_sumo.experiment import Experiment
+from rail_sumo.files import whole_file
+from rail_sumo.records import Floats
+from rail_sumo.statistics import interval, iqm, mean_difference, probability_of_improvement, ratio_of_iqms
 
 TRAJECTORIES = (1, 5, 10, 20, 40)
 METRICS = ("speed_kmh", "overtakes", "lane_changes", "longitudinal_reward", "lateral_reward")
@@ -61,21 +39,12 @@ ROWS = {
 TABLE1 = tuple(system for system in ROWS if system != ("expert", 0))
 """The rows beside the expert's."""
 
+EXPERT = (report.EXPERT, 0, 0)
+"""Whom all are set beside, as a part of an experiment's grid."""
+
 FIGURES = (("rail", 2), ("rail", 1), ("bc", 2), ("gail", 2))
 """The curves of Figures 3 and 4."""
 
-QUICK = {"rail": 40, "rewarded": 40, "gail": 40, "bc": 0, "dagger": 5}
-"""Iterations of an experiment that is to show its shape within minutes: a quarter."""
-
-REWARD_WEIGHT = 1.0
-"""Of the environment's reward beside the judge's, for RAIL that is paid both: no longer imitation alone."""
-
-MADE_OF = b"rail_sumo"
-"""The key of a cell's metadata that tells its configuration and the SHA-256 of the files it read."""
-
-CELL_COLUMNS = {"learner": "string", "layers": "int64", "trajectories": "int64", "training_seed": "int64"} | {
-    name: kind for name, kind in EPISODE_COLUMNS.items() if name != "policy"
-}
 TABLE_COLUMNS = {
     "learner": "string",
     "layers": "int64",
@@ -96,112 +65,22 @@ TABLE_COLUMNS = {
 }
 
 
-@dataclass(frozen=True, order=True)
-class Cell:
-    """One training, or one driver that does not train, and its held-out episodes."""
-
-    learner: str
-    layers: int
-    trajectories: int
-    seed: int
-
-    @property
-    def name(self) -> str:
-        """What its files are called."""
-        return f"{self.learner}-{self.layers}-layer-{self.trajectories}-seed{self.seed}"
-
-    @classmethod
-    def parse(cls, name: str) -> "Cell | None":
-        """Return the cell whose files are called so, if any is."""
-        found = re.fullmatch(r"(\w+)-(\d)-layer-(\d+)-seed(\d+)", name)
-        return cls(found[1], int(found[2]), int(found[3]), int(found[4])) if found else None
-
-
-@dataclass(frozen=True)
-class _Work:
-    """A cell, the configuration it is trained and driven with, and the experiment's folder."""
-
-    cell: Cell
-    config: Config
-    out: Path
-
-    @property
-    def run(self) -> Path:
-        return self.out / "runs" / self.cell.name
-
-    @property
-    def is_finished(self) -> bool:
-        """Whether its result is there, of this configuration and these files; a key it lacks had its default."""
-        if not self._file.is_file():
-            return False
-        made_of = json.loads((pq.read_schema(self._file).metadata or {}).get(MADE_OF, b"{}"))
-        if "config" not in made_of or made_of["inputs"] != self._inputs:
-            return False
-        return validate(tomllib.loads(made_of["config"])) == self.config
-
-    def check(self) -> None:
-        """Refuse, before anybody drives, what could not be gone on with."""
-        if self.run.exists():
-            RunDirectory(self.run).require_same(self.config, self.cell.seed, training.inputs_of(self.config))
-
-    def save(self, episodes: pd.DataFrame) -> None:
-        """Write the result."""
-        about = {"training_seed" if name == "seed" else name: value for name, value in vars(self.cell).items()}
-        table = pa.Table.from_pandas(report.typed(episodes.assign(**about), CELL_COLUMNS), preserve_index=False)
-        made_of = json.dumps({"config": dumps(self.config), "inputs": self._inputs})
-        with whole_file(self._file) as partial:
-            pq.write_table(table.replace_schema_metadata({MADE_OF: made_of}), partial)
-
-    def result(self) -> pd.DataFrame:
-        """Read the result."""
-        return report.typed(pd.read_parquet(self._file), CELL_COLUMNS)
-
-    @property
-    def _file(self) -> Path:
-        return self.out / "cells" / f"{self.cell.name}.parquet"
-
-    @property
-    def _inputs(self) -> dict[str, str]:
-        """The files that the result follows from."""
-        inputs = training.inputs_of(self.config)
-        if self.cell.learner == report.EXPERT:
-            inputs["the shipped expert"] = assets.sha256(assets.expert(assets.EXPERT_POLICY))
-        return inputs
-
-
-def table1(
-    config: Config,
-    out: Path,
-    *,
-    seeds: int,
-    quick: bool = False,
-    workers: WorkerCount = 1,
-    observer: Observer = SILENT,
-) -> pd.DataFrame:
+def table1(experiment: Experiment) -> pd.DataFrame:
     """Train and drive all that Table 1 sets side by side, and write `cells`, `table1.csv` and `table1.md` into `out`.
-
-    Args:
-        config: of every training; learner, layers and number of trajectories are the cell's.
-        out: may hold some of it already, of the same configuration.
-        seeds: trainings of each learner, with seeds from 0.
-        quick: for a first look: a quarter of the iterations, unless `train.iterations` says how many.
-        workers: how many cells at once, each in a process of its own.
-        observer: is told of every cell.
 
     Returns:
         A row per learner and metric: `TABLE_COLUMNS`.
 
     Raises:
-        InputError: as in `run.train`; the expert does not drive in this world; `out` holds trainings of another
-            configuration or of more iterations.
+        InputError: as in `Experiment.drive`.
     """
-    grid = [(learner, layers, config.train.trajectories if layers else 0) for learner, layers in TABLE1]
-    cells = _drive(config, out, [*grid, (report.EXPERT, 0, 0)], seeds, quick, workers, observer)
-    table = compare(cells)
-    with whole_file(out / "table1.csv") as partial:
+    train = experiment.config.train
+    grid = [(learner, layers, train.trajectories if layers else 0) for learner, layers in TABLE1]
+    table = compare(experiment.drive([*grid, EXPERT]))
+    with whole_file(experiment.out / "table1.csv") as partial:
         table.to_csv(partial, index=False)
-    with whole_file(out / "table1.md") as partial:
-        partial.write_text(_markdown(table, seeds, config.train.evaluation_episodes), encoding="utf-8")
+    with whole_file(experiment.out / "table1.md") as partial:
+        partial.write_text(_markdown(table, experiment.seeds, train.evaluation_episodes), encoding="utf-8")
     return table
 
 
@@ -219,7 +98,7 @@ def compare(cells: pd.DataFrame) -> pd.DataFrame:
         for metric in (*METRICS, *report.CONTACTS):
             scores, reference = _scores(driven, metric), _scores(expert, metric)
             low, high = report.metric_interval(metric, scores)
-            ratio, ratio_low, ratio_high = _against(driven, expert, metric)
+            ratio, ratio_low, ratio_high = _against(scores, reference)
             difference_low, difference_high = interval(mean_difference, scores, reference)
             paper, paper_expert = _paper(learner, layers, metric), _paper(report.EXPERT, 0, metric)
             rows.append({
@@ -243,113 +122,34 @@ def compare(cells: pd.DataFrame) -> pd.DataFrame:
     return report.typed(rows, TABLE_COLUMNS)
 
 
-def figures(
-    config: Config,
-    out: Path,
-    *,
-    seeds: int,
-    quick: bool = False,
-    workers: WorkerCount = 1,
-    observer: Observer = SILENT,
-) -> pd.DataFrame:
+def figures(experiment: Experiment) -> pd.DataFrame:
     """Train and drive all that Figures 3 and 4 compare, and write `cells` and the five figures into `out`.
 
-    The arguments and errors are those of `table1`, whose cells it takes over where they are in `out` already.
+    Cells that Table 1 has too are taken over from there.
 
     Returns:
-        The cells' episodes: `CELL_COLUMNS`.
+        The cells' episodes: `experiment.CELL_COLUMNS`.
+
+    Raises:
+        InputError: matplotlib is not installed; else as in `Experiment.drive`.
     """
     plot.require_matplotlib()
     grid = [(*system, trajectories) for system, trajectories in itertools.product(FIGURES, TRAJECTORIES)]
-    cells = _drive(config, out, [*grid, (report.EXPERT, 0, 0)], seeds, quick, workers, observer)
+    cells = experiment.drive([*grid, EXPERT])
     expert = cells[cells["learner"] == report.EXPERT]
     for metric in METRICS:
+        reference = _scores(expert, metric)
         curves = {
-            ROWS[system]: np.array([_against(_of(cells, *system, n), expert, metric) for n in TRAJECTORIES])
+            ROWS[system]: np.array([
+                _against(_scores(_of(cells, *system, n), metric), reference) for n in TRAJECTORIES
+            ])
             for system in FIGURES
-        }
+        }  # fmt: skip
         figure = plot.against_trajectories(TRAJECTORIES, curves, _LABELS[metric])
         for suffix in (".png", ".svg"):
             name = metric.removesuffix("_kmh").removesuffix("_reward")
-            plot.save(figure, out / f"figure_{name}{suffix}", overwrite=True)
+            plot.save(figure, experiment.out / f"figure_{name}{suffix}", overwrite=True)
     return cells
-
-
-def _drive(
-    config: Config,
-    out: Path,
-    grid: Sequence[tuple[str, int, int]],
-    seeds: int,
-    quick: bool,
-    workers: WorkerCount,
-    observer: Observer,
-) -> pd.DataFrame:
-    """Bring every cell to its end and return their episodes, in the grid's order."""
-    if seeds < 1:
-        raise InputError(f"--seeds must be at least 1; got {seeds}")
-    if workers == "ray":
-        raise InputError("reproduce keeps its cells on this machine and takes a number of --workers, not ray")
-    check_folder(out, overwrite=True)
-    run.require_drivable(config, config.train.evaluation_episodes)
-    drivers.load_expert(config)  # everybody is set beside it
-    cells = [Cell(*what, seed) for seed in range(seeds) for what in grid]
-    work = [_Work(cell, _world(cell, config, quick), out) for cell in cells]
-    training.demonstrations_of(max(work, key=lambda one: one.cell.trajectories).config)  # are there so many?
-    for one in work:
-        one.check()
-    observer.start("cells", len(cells))
-    driven = []
-    with rollout.workers(workers) as pool:
-        for episodes in pool.map(_finish, work):
-            driven.append(episodes)
-            observer.advance({})
-    finished = [one.result() for one in _all_finished(config, out, quick)]  # the other experiment's too
-    report.write(out, cells=report.typed(pd.concat(finished, ignore_index=True), CELL_COLUMNS), overwrite=True)
-    return report.typed(pd.concat(driven, ignore_index=True), CELL_COLUMNS)
-
-
-def _world(cell: Cell, config: Config, quick: bool) -> Config:
-    """Return the configuration that a cell is trained and driven with."""
-    if not cell.layers:
-        return config.resolved()
-    default = config.train.iterations == "default"
-    iterations = QUICK[cell.learner] if quick and default else config.train.iterations
-    changed = {
-        "learner": "rail" if cell.learner == "rewarded" else cell.learner,
-        "trajectories": cell.trajectories,
-        "iterations": "default" if cell.learner == "bc" else iterations,
-    }
-    weight = REWARD_WEIGHT if cell.learner == "rewarded" else config.rail.reward_weight
-    return config.model_copy(
-        update={
-            "policy": config.policy.model_copy(update={"layers": cell.layers}),
-            "rail": config.rail.model_copy(update={"reward_weight": weight}),
-            "train": config.train.model_copy(update=changed),
-        }
-    ).resolved()
-
-
-def _finish(work: _Work) -> pd.DataFrame:
-    """Bring a cell to its end, wherever it stands, and return its episodes; runs in a process of its own."""
-    cell, world = work.cell, work.config
-    if not work.is_finished:
-        if cell.layers:
-            learned = training.learn(world, work.run, seed=cell.seed, resume=work.run.exists())
-            driver: run.Driver = learned.policy(world)
-        else:
-            driver = run.find_driver(cell.learner, world)
-        n_episodes = world.train.evaluation_episodes
-        episodes, _ = run.evaluate({cell.learner: driver}, world, episodes=n_episodes, seed=cell.seed)
-        work.save(episodes)
-    return work.result()
-
-
-def _all_finished(config: Config, out: Path, quick: bool) -> list[_Work]:
-    """Return the finished cells of this configuration, in the order of `CELL_COLUMNS`."""
-    names = [file.stem for file in (out / "cells").glob("[!.]*.parquet")]
-    cells = sorted(cell for cell in map(Cell.parse, names) if cell and (cell.learner, cell.layers) in ROWS)
-    work = [_Work(cell, _world(cell, config, quick), out) for cell in cells]
-    return [one for one in work if one.is_finished]
 
 
 def _of(cells: pd.DataFrame, learner: str, layers: int, trajectories: int) -> pd.DataFrame:
@@ -367,9 +167,8 @@ def _paper(learner: str, layers: int, metric: str) -> float:
     return dict(zip(METRICS, PAPER.get((learner, layers), ()), strict=False)).get(metric, np.nan)
 
 
-def _against(driven: pd.DataFrame, expert: pd.DataFrame, metric: str) -> tuple[float, float, float]:
+def _against(scores: Floats, reference: Floats) -> tuple[float, float, float]:
     """Return the ratio of interquartile means to the expert's, and its 95 % interval."""
-    scores, reference = _scores(driven, metric), _scores(expert, metric)
     return float(ratio_of_iqms(scores, reference)), *interval(ratio_of_iqms, scores, reference)
 
 

@@ -7,9 +7,10 @@ import numpy as np
 import pandas as pd
 import pytest
 
-from rail_sumo import config, plot, reproduce, run, training
+from rail_sumo import config, experiment, plot, reproduce, run, training
 from rail_sumo.config import dumps
 from rail_sumo.errors import InputError
+from rail_sumo.experiment import Experiment
 from rail_sumo.rollout import LearnedDriver
 from rail_sumo.run_directory import Checkpoint, RunDirectory
 
@@ -52,6 +53,14 @@ def done(monkeypatch):
     return done
 
 
+def table1(world, out, **how):
+    return reproduce.table1(Experiment(world, out, **how))
+
+
+def figures(world, out, **how):
+    return reproduce.figures(Experiment(world, out, **how))
+
+
 def contents(folder):
     return {path: path.read_bytes() for path in folder.rglob("*") if path.is_file()}
 
@@ -63,7 +72,7 @@ ROW = {
 
 
 def test_every_row_of_the_table_is_there_beside_the_papers(world, done, tmp_path):
-    table = reproduce.table1(world, tmp_path, seeds=2)
+    table = table1(world, tmp_path, seeds=2)
     assert list(table.columns) == list(reproduce.TABLE_COLUMNS)
     systems = list(dict.fromkeys(zip(table["learner"], table["layers"], strict=True)))
     assert systems == [*reproduce.TABLE1, ("expert", 0)]
@@ -84,19 +93,19 @@ def test_every_row_of_the_table_is_there_beside_the_papers(world, done, tmp_path
 
 
 def test_the_cells_are_tidy_and_the_same_in_both_files(world, done, tmp_path):
-    reproduce.table1(world, tmp_path, seeds=2)
+    table1(world, tmp_path, seeds=2)
     cells = pd.read_parquet(tmp_path / "cells.parquet")
-    assert list(cells.columns) == list(reproduce.CELL_COLUMNS)
+    assert list(cells.columns) == list(experiment.CELL_COLUMNS)
     assert len(cells) == 2 * (len(reproduce.TABLE1) + 1) * N_EPISODES
     assert not cells.duplicated(["learner", "layers", "trajectories", "training_seed", "episode"]).any()
     drivers = cells[cells["learner"].isin(["rule", "sumo", "expert"])]
     assert (drivers[["layers", "trajectories"]] == 0).all(axis=None)
-    from_csv = pd.read_csv(tmp_path / "cells.csv", dtype=reproduce.CELL_COLUMNS)
+    from_csv = pd.read_csv(tmp_path / "cells.csv", dtype=experiment.CELL_COLUMNS)
     pd.testing.assert_frame_equal(cells, from_csv)
 
 
 def test_the_experts_episodes_are_on_the_traffic_of_every_seed(world, done, tmp_path):
-    reproduce.table1(world, tmp_path, seeds=3)
+    table1(world, tmp_path, seeds=3)
     cells = pd.read_parquet(tmp_path / "cells.parquet")
     traffic = cells.groupby(["training_seed", "episode"])["seed"].nunique()
     assert (traffic == 1).all()
@@ -104,7 +113,7 @@ def test_the_experts_episodes_are_on_the_traffic_of_every_seed(world, done, tmp_
 
 
 def test_interrupted_at_any_cell_it_goes_on_to_the_same_bytes(world, done, tmp_path, monkeypatch):
-    reproduce.table1(world, tmp_path / "whole", seeds=1)
+    table1(world, tmp_path / "whole", seeds=1)
     evaluate = run.evaluate
     for n_cells in range(len(reproduce.TABLE1) + 1):
         left = iter(range(n_cells))
@@ -118,9 +127,9 @@ def test_interrupted_at_any_cell_it_goes_on_to_the_same_bytes(world, done, tmp_p
         with monkeypatch.context() as patched:
             patched.setattr(run, "evaluate", evaluate_or_stop)
             with pytest.raises(KeyboardInterrupt):
-                reproduce.table1(world, out, seeds=1)
+                table1(world, out, seeds=1)
         done.clear()
-        reproduce.table1(world, out, seeds=1)
+        table1(world, out, seeds=1)
         assert sum(event[0] == "evaluate" for event in done) == len(reproduce.TABLE1) + 1 - n_cells
         for file in ("cells.csv", "cells.parquet", "table1.csv", "table1.md"):
             assert (out / file).read_bytes() == (tmp_path / "whole" / file).read_bytes()
@@ -128,23 +137,23 @@ def test_interrupted_at_any_cell_it_goes_on_to_the_same_bytes(world, done, tmp_p
 
 def test_what_was_quick_goes_on_to_the_whole_and_not_back(world, done, tmp_path):
     whole = world.model_copy(update={"train": world.train.model_copy(update={"iterations": "default"})})
-    reproduce.table1(whole, tmp_path, seeds=1, quick=True)
+    table1(whole, tmp_path, seeds=1, quick=True)
     quick = {event[1].partition("-")[0]: event[3:] for event in done if event[0] == "learn"}
-    assert quick == {learner: (n, False) for learner, n in reproduce.QUICK.items()}
+    assert quick == {learner: (n, False) for learner, n in experiment.QUICK.items()}
     done.clear()
-    reproduce.table1(whole, tmp_path, seeds=1)
+    table1(whole, tmp_path, seeds=1)
     resumed = {event[1].partition("-")[0]: event[3:] for event in done if event[0] == "learn"}
     long = dict.fromkeys(("rail", "rewarded", "gail"), (160, True))
     assert resumed == long | {"dagger": (20, True)}  # a clone is a clone
 
 
 def test_another_configuration_is_refused(world, done, tmp_path):
-    reproduce.table1(world, tmp_path, seeds=1)
+    table1(world, tmp_path, seeds=1)
     before = contents(tmp_path)
     done.clear()
     other = world.model_copy(update={"search": world.search.model_copy(update={"noise_std": 0.5})})
     with pytest.raises(InputError, match=r"was started with search\.noise_std = .*, not 0\.5"):
-        reproduce.table1(other, tmp_path, seeds=1)
+        table1(other, tmp_path, seeds=1)
     assert contents(tmp_path) == before
     assert done == []
 
@@ -152,41 +161,41 @@ def test_another_configuration_is_refused(world, done, tmp_path):
 def test_a_quick_look_at_a_finished_experiment_is_refused_and_leaves_it_alone(world, done, tmp_path, monkeypatch):
     whole = world.model_copy(update={"train": world.train.model_copy(update={"iterations": "default"})})
     monkeypatch.setattr(Checkpoint, "iteration", 160)
-    reproduce.table1(whole, tmp_path, seeds=1)
+    table1(whole, tmp_path, seeds=1)
     before = contents(tmp_path)
     with pytest.raises(InputError, match="has done 160 iterations"):
-        reproduce.table1(whole, tmp_path, seeds=1, quick=True)
+        table1(whole, tmp_path, seeds=1, quick=True)
     assert contents(tmp_path) == before
 
 
 def test_other_files_under_the_same_names_are_another_experiment(world, done, tmp_path, monkeypatch):
-    reproduce.table1(world, tmp_path, seeds=1)
+    table1(world, tmp_path, seeds=1)
     done.clear()
-    reproduce.table1(world, tmp_path, seeds=1)
+    table1(world, tmp_path, seeds=1)
     assert done == []
     monkeypatch.setattr(training, "inputs_of", lambda config: {"network.file": "changed"})
     with pytest.raises(InputError, match=r"the content of network\.file has changed"):
-        reproduce.table1(world, tmp_path, seeds=1)
+        table1(world, tmp_path, seeds=1)
 
 
 def test_a_cell_from_before_a_key_was_there_is_finished(world, done, tmp_path, monkeypatch):
     with monkeypatch.context() as before:
-        before.setattr(reproduce, "dumps", lambda config: re.sub(r"\[rail\]\nreward_weight = .*\n", "", dumps(config)))
-        reproduce.table1(world, tmp_path, seeds=1)
+        before.setattr(experiment, "dumps", lambda config: re.sub(r"\[rail\]\nreward_weight = .*\n", "", dumps(config)))
+        table1(world, tmp_path, seeds=1)
     done.clear()
-    reproduce.table1(world, tmp_path, seeds=1)
+    table1(world, tmp_path, seeds=1)
     assert [event[1] for event in done if event[0] == "evaluate"] == ["rewarded"]  # whose key had another value
 
 
 def test_files_that_are_no_cells_are_let_be(world, done, tmp_path):
-    whole = reproduce.table1(world, tmp_path, seeds=1)
+    whole = table1(world, tmp_path, seeds=1)
     for name in ("rail-2-layer-40-seed0 (copy)", "rail-3-layer-40-seed0", "notes"):
         (tmp_path / "cells" / f"{name}.parquet").write_bytes(b"no table")
-    pd.testing.assert_frame_equal(reproduce.table1(world, tmp_path, seeds=1), whole)
+    pd.testing.assert_frame_equal(table1(world, tmp_path, seeds=1), whole)
 
 
 def test_contacts_are_in_the_table(world, done, tmp_path):
-    table = reproduce.table1(world, tmp_path, seeds=2)  # made-up episodes have one of either kind each
+    table = table1(world, tmp_path, seeds=2)  # made-up episodes have one of either kind each
     struck = table[table["metric"] == "struck"].set_index(["learner", "layers"]).loc[("rail", 2)]
     assert (struck["mean"], struck["high"]) == (1.0, 1.0)
     assert 0.6 < struck["low"] < 0.7  # Wilson's, at 8 of 8
@@ -197,20 +206,20 @@ def test_contacts_are_in_the_table(world, done, tmp_path):
 
 def test_a_cluster_is_refused_before_any_work(world, done, tmp_path):
     with pytest.raises(InputError, match="takes a number of --workers, not ray"):
-        reproduce.table1(world, tmp_path, seeds=1, workers="ray")
+        table1(world, tmp_path, seeds=1, workers="ray")
     assert done == []
 
 
 def test_too_few_demonstrations_are_found_out_before_any_work(world, done, tmp_path):
     many = world.model_copy(update={"train": world.train.model_copy(update={"trajectories": 41})})
     with pytest.raises(InputError, match="41 demonstrated trajectories wanted, and there are 40"):
-        reproduce.table1(many, tmp_path, seeds=1)
+        table1(many, tmp_path, seeds=1)
     assert done == []
 
 
 def test_no_seed_is_refused_before_any_work(world, done, tmp_path):
     with pytest.raises(InputError, match="--seeds must be at least 1; got 0"):
-        reproduce.table1(world, tmp_path / "out", seeds=0)
+        table1(world, tmp_path / "out", seeds=0)
     assert done == []
     assert not (tmp_path / "out").exists()
 
@@ -224,7 +233,7 @@ def test_the_figures_show_ratios_against_demonstrated_trajectories(world, done, 
 
     figure = plot.against_trajectories
     monkeypatch.setattr(plot, "against_trajectories", note)
-    cells = reproduce.figures(world, tmp_path, seeds=2)
+    cells = figures(world, tmp_path, seeds=2)
     assert len(cells) == 2 * (4 * 5 + 1) * N_EPISODES
     assert list(drawn) == ["speed", "overtakes", "lane changes", "longitudinal reward", "lateral reward"]
     np.testing.assert_allclose(
@@ -237,16 +246,16 @@ def test_the_figures_show_ratios_against_demonstrated_trajectories(world, done, 
 
 
 def test_table_and_figures_share_their_cells(world, done, tmp_path):
-    reproduce.table1(world, tmp_path, seeds=1)
+    table1(world, tmp_path, seeds=1)
     done.clear()
-    reproduce.figures(world, tmp_path, seeds=1)
+    figures(world, tmp_path, seeds=1)
     learned = [event[1] for event in done if event[0] == "learn"]
     assert len(learned) == 4 * 5 - 4
     assert "rail-2-layer-40-seed0" not in learned
     cells = pd.read_parquet(tmp_path / "cells.parquet")
     # The figures' cells and what the table has beside them: dagger, rule, sumo, RAIL with the reward, the expert.
     assert len(cells) == (4 * 5 + 5) * N_EPISODES
-    reproduce.table1(world, tmp_path, seeds=1)
+    table1(world, tmp_path, seeds=1)
     pd.testing.assert_frame_equal(cells, pd.read_parquet(tmp_path / "cells.parquet"))
 
 
@@ -267,6 +276,6 @@ def test_with_two_workers_it_gives_the_same_bytes_as_with_one(tmp_path):
         ],
     )
     for workers in (1, 2):
-        reproduce.table1(small, tmp_path / str(workers), seeds=1, workers=workers)
+        table1(small, tmp_path / str(workers), seeds=1, workers=workers)
     for file in ("cells.parquet", "table1.csv"):
         assert (tmp_path / "1" / file).read_bytes() == (tmp_path / "2" / file).read_bytes()
