@@ -38,6 +38,7 @@ ConfigFile = Annotated[Path | None, typer.Argument(metavar="CONFIG", help="A .to
 Overrides = Annotated[
     list[str] | None, typer.Option("--set", metavar="SECTION.KEY=VALUE", help="Change one key; repeatable.")
 ]
+NetworkFile = Annotated[str | None, typer.Option(metavar="FILE", help="A .net.xml or a shipped network's name.")]
 Routes = Annotated[list[str] | None, typer.Option(metavar="FILE", help="Your own demand; repeatable.")]
 _SEED = "Everything random follows from it."
 Seed = Annotated[int, typer.Option(min=0, help=_SEED)]
@@ -57,6 +58,8 @@ def main() -> None:
 @app.command()
 def train(
     config_file: ConfigFile = None,
+    network: NetworkFile = None,
+    routes: Routes = None,
     overrides: Overrides = None,
     out: Annotated[Path | None, typer.Option(help="Run directory.", show_default="runs/CONFIG-seedS")] = None,
     workers: Workers = "",
@@ -74,7 +77,7 @@ def train(
         started = RunDirectory(out)
         config_file = config_file or out / CONFIG
         seed = started.seed if seed is None else seed
-    chosen = config.load(config_file, overrides or ())
+    chosen = config.load(config_file, _overrides(network, routes, overrides))
     n_workers = _workers(workers)
     try:
         with _bars() as bars:
@@ -90,7 +93,7 @@ def train(
 @app.command("eval")
 def evaluate(
     policies: Annotated[list[str], typer.Argument(metavar="POLICY...", help="Run directories and drivers' names.")],
-    network: Annotated[str | None, typer.Option(metavar="FILE", help="A .net.xml or a shipped network's name.")] = None,
+    network: NetworkFile = None,
     routes: Routes = None,
     overrides: Overrides = None,
     episodes: Annotated[int, typer.Option(help="Episodes per policy, on the same traffic for all.")] = 16,
@@ -108,7 +111,7 @@ def evaluate(
     if out:
         files.check_folder(out, overwrite=overwrite, instead=", or replace its tables with --overwrite")
     n_workers = _workers(workers)
-    world = run.world(policies, _world(network, routes, overrides))
+    world = run.world(policies, _overrides(network, routes, overrides))
     who = {policy: run.find_driver(policy, world) for policy in policies}
     with _bars() as observer:
         tables = run.evaluate(who, world, episodes=episodes, seed=seed, workers=n_workers, observer=observer)
@@ -135,6 +138,8 @@ def plot(
 def reproduce(
     what: Annotated[Literal["table1", "figures"], typer.Argument(help="Table 1, or Figures 3 and 4.")],
     config_file: ConfigFile = None,
+    network: NetworkFile = None,
+    routes: Routes = None,
     overrides: Overrides = None,
     out: Annotated[Path, typer.Option(help="Folder for cells, table and figures.")] = Path("runs/reproduce"),
     seeds: Annotated[int | None, typer.Option(help="Trainings per cell.", show_default="10, with --quick 2")] = None,
@@ -145,7 +150,7 @@ def reproduce(
     from rail_sumo import reproduce
     from rail_sumo.experiment import Experiment
 
-    chosen = config.load(config_file, overrides or ())
+    chosen = config.load(config_file, _overrides(network, routes, overrides))
     n_seeds = (2 if quick else 10) if seeds is None else seeds
     n_workers = _workers(workers)
     try:
@@ -163,6 +168,8 @@ def reproduce(
 @expert.command("train")
 def train_expert(
     config_file: ConfigFile = None,
+    network: NetworkFile = None,
+    routes: Routes = None,
     overrides: Overrides = None,
     out: Annotated[Path | None, typer.Option(help="Folder for the expert.", show_default="runs/expert-seedS")] = None,
     seed: Seed = 0,
@@ -173,10 +180,9 @@ def train_expert(
 
     out = out or Path("runs", f"expert-seed{seed}")
     n_workers = _workers(workers)
+    world = config.load(config_file, _overrides(network, routes, overrides))
     with _bars() as observer:
-        tables = expert.train(
-            config.load(config_file, overrides or ()), out, seed=seed, workers=n_workers, observer=observer
-        )
+        tables = expert.train(world, out, seed=seed, workers=n_workers, observer=observer)
     _show(tables, out)
 
 
@@ -186,6 +192,8 @@ def record(
     config_file: ConfigFile = None,
     driver: Annotated[str, typer.Option(metavar="NAME", help="A driver's name or a run directory.")] = "expert",
     episodes: Annotated[int, typer.Option(help="Episodes to record.")] = 40,
+    network: NetworkFile = None,
+    routes: Routes = None,
     overrides: Overrides = None,
     seed: Seed = 0,
     workers: Workers = "",
@@ -194,7 +202,7 @@ def record(
     """Record what a driver sees and carries out, for `train.demonstrations` to learn from."""
     from rail_sumo import run
 
-    world = config.load(config_file, overrides or ())
+    world = config.load(config_file, _overrides(network, routes, overrides))
     n_workers = _workers(workers)
     with _bars() as observer:
         demonstrations = run.demonstrate(
@@ -219,7 +227,7 @@ def check(
     """Tell where on a network rail-sumo would drive, and what may go wrong there."""
     from rail_sumo.highway import env
 
-    course, warnings = env.check(config.load(None, _world(file, routes, overrides)))
+    course, warnings = env.check(config.load(None, _overrides(file, routes, overrides)))
     print(_describe(course))
     print(f"edges: {_shortened([edge.id for edge in course.edges])}")
     for warning in warnings:
@@ -235,7 +243,7 @@ def list_networks() -> None:
         print(_describe(road.load(name)))
 
 
-def _world(network: str | None, routes: list[str] | None, overrides: list[str] | None) -> list[str]:
+def _overrides(network: str | None, routes: list[str] | None, overrides: list[str] | None) -> list[str]:
     """Return the options that choose a world as overrides of the configuration."""
     # Strings in JSON are strings in TOML.
     given = [f"network.file={json.dumps(network)}"] if network else []

@@ -138,16 +138,24 @@ def test_eval_prints_a_row_per_policy_and_writes_four_tables(rail_sumo, tmp_path
     assert set(episodes["duration_s"][:2]) == {5.0}
 
 
-def test_network_and_routes_go_into_the_world(rail_sumo, monkeypatch):
+@pytest.mark.parametrize(
+    "command",
+    ["train", "eval keep", "expert train", "expert record --out new.parquet", "reproduce table1", "reproduce figures"],
+)
+def test_whatever_drives_takes_a_network_and_a_demand(rail_sumo, monkeypatch, command):
     worlds = []
-    evaluate = run.evaluate
-    monkeypatch.setattr(
-        run, "evaluate", lambda who, world, **named: worlds.append(world) or evaluate(who, world, **named)
-    )
-    assert rail_sumo("eval", "keep", "--network", "highway3", "--episodes", "1", *SHORT)[0] == 0
+    load = config.load
+
+    def look_and_stop(path=None, overrides=()):
+        worlds.append(load(path, overrides))
+        raise InputError("seen enough")
+
+    monkeypatch.setattr(config, "load", look_and_stop)
+    world = ("--network", "highway3", "--routes", "highway3", "--routes", "my.rou.xml", "--set", "traffic.begin_s=5")
+    assert rail_sumo(*command.split(), *world) == (2, "", "rail-sumo: seen enough\n")
     assert worlds[0].network.file == "highway3"
-    assert rail_sumo("eval", "keep", "--routes", "highway5", "--episodes", "1", *SHORT)[0] == 0
-    assert worlds[1].traffic.routes == ("highway5",)
+    assert worlds[0].traffic.routes == ("highway3", "my.rou.xml")
+    assert worlds[0].traffic.begin_s == 5.0
 
 
 def test_check_tells_the_edges_and_where_the_road_ends_too_soon(rail_sumo):
