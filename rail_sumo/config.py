@@ -29,6 +29,9 @@ class Network(_Section):
 
     file: str = "highway5"
     """A shipped network's name, or a path to a `.net.xml`."""
+    course: tuple[str, ...] = ()
+    """Edges that the host drives along, in driving order; between two of them it takes the shortest way. With the first
+    again at the end it goes round. Empty for the longest way straight on."""
 
 
 class Episode(_Section):

@@ -3,6 +3,9 @@
 import difflib
 from collections.abc import Iterable
 
+LISTED = 16
+"""So many names a message tells."""
+
 
 class InputError(ValueError):
     """A user's mistake: says what was given, what is allowed and what to do. The command line exits with code 2."""
@@ -13,8 +16,12 @@ class ObservationError(InputError):
 
 
 def did_you_mean(given: str, available: Iterable[str]) -> str:
-    """Return `"; did you mean 'x'? (available: ...)"` for an unknown name; without a near name, only the list."""
+    """Return `"; did you mean 'x'? (available: ...)"` for an unknown name; without a near name, only the list.
+
+    Of a long list only the beginning is told.
+    """
     names = sorted(available)
     near = difflib.get_close_matches(given, names, n=1)
     question = f"; did you mean '{near[0]}'?" if near else ""
-    return f"{question} (available: {', '.join(names)})"
+    listed = names if len(names) <= LISTED else [*names[:LISTED], f"and {len(names) - LISTED} more"]
+    return f"{question} (available: {', '.join(listed)})"

@@ -1,3 +1,5 @@
+import itertools
+import re
 from itertools import product
 
 import numpy as np
@@ -39,3 +41,25 @@ def touching():
         ]
 
     return of
+
+
+@pytest.fixture
+def network(tmp_path):
+    """Write a network of the given elements and return its path as a user would give it."""
+    numbers = itertools.count()
+
+    def write(*elements):
+        path = tmp_path / f"own{next(numbers)}.net.xml"
+        names = dict.fromkeys(re.findall(r'<edge id="([^"]+)"', "".join(elements)))
+        nodes = "".join(
+            f'<junction id="{name}{end}" type="priority" x="0" y="0" incLanes="" intLanes="" shape="0,0"/>'
+            for name in names
+            for end in "-+"
+        )
+        location = '<location netOffset="0,0" convBoundary="0,0,1,1" origBoundary="0,0,1,1" projParameter="!"/>'
+        edges = [element for element in elements if element.startswith("<edge")]
+        rest = [element for element in elements if not element.startswith("<edge")]
+        path.write_text(f'<net version="1.20">{location}{"".join(edges)}{nodes}{"".join(rest)}</net>')
+        return str(path)
+
+    return write

@@ -425,6 +425,18 @@ def test_the_road_ends_the_episode_before_the_host_runs_off_it(make, short_road,
     assert 900.0 - decision_period_s * max_speed_kmh / KMH < travelled_m < 1000.0  # it starts at 200 m
 
 
+def test_the_host_drives_along_the_edges_wanted_and_no_farther(make):
+    """Half the ring: four of its eight edges of 392.7 m, from whose first the host starts."""
+    env = make(world(network={"file": "ring5", "course": ("ring6", "ring1")}, episode={"duration_s": 300.0}))
+    env.reset(seed=UNSEEN)
+    edges = {libsumo.vehicle.getRoadID(HOST)}
+    while not env.is_over:
+        env.drive(KEEP)
+        edges.add(libsumo.vehicle.getRoadID(HOST))
+    assert {edge for edge in edges if not edge.startswith(":")} == {"ring6", "ring7", "ring0", "ring1"}
+    assert env.trajectory().end_reason == "end of road"
+
+
 def test_on_a_ring_the_course_is_driven_in_laps(make):
     config = world(network={"file": "ring5"}, episode={"course_m": 7222.0, "duration_s": math.inf}, traffic=EMPTY)
     driven = drive(make(config), always(ACCELERATE))

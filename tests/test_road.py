@@ -1,61 +1,18 @@
 import gzip
-import itertools
 import math
-import re
-import sys
 from pathlib import Path
 
 import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
+from sketch import edge, leads_on
 
 from rail_sumo import assets
 from rail_sumo.errors import InputError
 from rail_sumo.highway import road
 
 RING_RADIUS_M, RING_HALF_WIDTH_M = 500.0, 8.0
-
-
-def edge(name, *, y=0.0, x=(0.0, 100.0), lanes=2, closed=(), width=3.2):
-    """An edge that runs east; lane 0 lies on y, the next ones to its left."""
-    access = ("pedestrian", "all")
-    rows = "".join(
-        f'<lane id="{name}_{k}" index="{k}" disallow="{access[k in closed]}" speed="30" '
-        f'length="{x[1] - x[0]:.2f}" width="{width}" shape="{x[0]},{y + k * width} {x[1]},{y + k * width}"/>'
-        for k in range(lanes)
-    )
-    return f'<edge id="{name}" from="{name}-" to="{name}+">{rows}</edge>'
-
-
-def leads_on(here, ahead, lanes, *, direction="s", to=None):
-    """Connections from some lanes of one edge to the same lanes, or those in `to`, of another; no internal lanes."""
-    return "".join(
-        f'<connection from="{here}" to="{ahead}" fromLane="{k}" toLane="{j}" dir="{direction}" state="M"/>'
-        for k, j in zip(lanes, lanes if to is None else to, strict=True)
-    )
-
-
-@pytest.fixture
-def network(tmp_path):
-    """Write a network of the given elements and return its path as a user would give it."""
-    numbers = itertools.count()
-
-    def write(*elements):
-        path = tmp_path / f"own{next(numbers)}.net.xml"
-        names = dict.fromkeys(re.findall(r'<edge id="([^"]+)"', "".join(elements)))
-        nodes = "".join(
-            f'<junction id="{name}{end}" type="priority" x="0" y="0" incLanes="" intLanes="" shape="0,0"/>'
-            for name in names
-            for end in "-+"
-        )
-        location = '<location netOffset="0,0" convBoundary="0,0,1,1" origBoundary="0,0,1,1" projParameter="!"/>'
-        edges = [element for element in elements if element.startswith("<edge")]
-        rest = [element for element in elements if not element.startswith("<edge")]
-        path.write_text(f'<net version="1.20">{location}{"".join(edges)}{nodes}{"".join(rest)}</net>')
-        return str(path)
-
-    return write
 
 
 def course(file):
@@ -199,38 +156,6 @@ def test_the_way_through_a_junction_counts_and_has_borders(network):
     assert np.array([103.0, 7.2 + 1.6 / 0.6]) == pytest.approx(swerving.boundaries[-3, :2])
 
 
-def test_straight_on_is_preferred_to_more_lanes_round_the_corner(network):
-    file = network(
-        edge("main", lanes=3),
-        edge("exit", y=-20.0, lanes=2, x=(0.0, 900.0)),
-        edge("on", lanes=2, x=(100.0, 200.0)),
-        leads_on("main", "exit", [0, 1], direction="r"),
-        leads_on("main", "on", [2], to=[1]),
-    )
-    assert course(file) == ["exit"]  # 900 m alone beats main and on, 200 m
-    file = network(
-        edge("main", lanes=3, x=(0.0, 1000.0)),
-        edge("exit", y=-20.0, lanes=2, x=(0.0, 900.0)),
-        edge("on", lanes=2, x=(1000.0, 1100.0)),
-        leads_on("main", "exit", [0, 1], direction="r"),
-        leads_on("main", "on", [2], to=[1]),
-    )
-    assert course(file) == ["main", "on"]
-
-
-def test_among_ways_straight_on_the_one_with_most_lanes_is_the_course(network):
-    file = network(
-        edge("a", lanes=5),
-        edge("b", lanes=2, x=(100.0, 200.0)),
-        edge("c", lanes=3, x=(100.0, 200.0)),
-        leads_on("a", "b", [0, 1]),
-        leads_on("a", "c", [2, 3, 4], to=[0, 1, 2]),
-    )
-    chosen = road.load(file)
-    assert [edge.id for edge in chosen.edges] == ["a", "c"]
-    assert chosen.edges[0].leads_on_m == (0.0, 0.0, math.inf, math.inf, math.inf)
-
-
 def test_a_lane_leads_on_over_as_many_edges_as_it_does(network):
     file = network(
         edge("a", lanes=3),
@@ -259,58 +184,11 @@ def test_on_a_loop_too_a_lane_ends_where_it_leads_off(network):
     }
 
 
-def test_equal_chains_are_told_apart_by_id(network):
-    assert course(network(edge("z"), edge("k"), edge("q"))) == ["k"]
-
-
-def test_a_loop_starts_at_its_first_id_though_rounded_sums_differ_with_the_start(network):
-    # In floating point 0.2 + 0.3 + 0.1, from b on, is less than 0.1 + 0.2 + 0.3 and 0.3 + 0.1 + 0.2.
-    edges = [edge("d", x=(0.0, 0.1)), edge("b", x=(0.0, 0.2)), edge("c", x=(0.0, 0.3))]
-    ways = ("db", "bc", "cd")
-    assert course(network(*edges, *(leads_on(*way, [0, 1]) for way in ways))) == ["b", "c", "d"]
-
-
-def test_a_loop_wins_over_a_longer_chain_that_runs_into_it(network):
-    loop = leads_on("b", "c", [0, 1]) + leads_on("c", "b", [0, 1])
-    file = network(edge("a"), edge("b"), edge("c"), leads_on("a", "b", [0, 1]), loop)
-    chosen = road.load(file)
-    assert [edge.id for edge in chosen.edges] == ["b", "c"]
-    assert chosen.is_loop
-
-
-def test_a_roundabout_at_the_end_does_not_take_the_highways_place(network):
-    roundabout = leads_on("b", "c", [0, 1]) + leads_on("c", "b", [0, 1])
-    short = {"x": (0.0, 20.0)}
-    file = network(edge("a"), edge("b", **short), edge("c", **short), leads_on("a", "b", [0, 1]), roundabout)
-    assert course(file) == ["a", "b", "c"]
-
-
-def test_turning_back_is_no_way_to_lengthen_the_course(network):
-    file = network(edge("there"), edge("back"), leads_on("there", "back", [0, 1], direction="t"))
-    assert course(file) == ["back"]
-
-
 def test_lanes_closed_to_cars_belong_to_the_verge(network):
     beside_a_pavement = road.load(network(edge("a", lanes=4, closed=(0,)))).edges[0]
     assert (beside_a_pavement.first_lane, beside_a_pavement.n_lanes) == (1, 3)
     split = road.load(network(edge("a", lanes=6, closed=(1,)))).edges[0]
     assert (split.first_lane, split.n_lanes) == (2, 4)
-
-
-def test_one_open_lane_beside_a_bus_lane_is_no_place_to_change_lanes(network):
-    with pytest.raises(
-        InputError,
-        match=r"^network 'own0\.net\.xml' has no drivable edge with two or more lanes; "
-        r"rail-sumo needs a place to change lanes$",
-    ):
-        road.load(network(edge("a", lanes=2, closed=(1,))))
-
-
-def test_a_very_long_chain_is_chosen_without_recursion(network):
-    n = 2 * sys.getrecursionlimit()
-    edges = [edge(f"e{k:05d}") for k in range(n)]
-    joints = [leads_on(f"e{k:05d}", f"e{k + 1:05d}", [0, 1]) for k in range(n - 1)]
-    assert len(course(network(*edges, *joints))) == n
 
 
 @pytest.mark.parametrize(

@@ -48,7 +48,7 @@ class HighwayEnv(gymnasium.Env[Floats, np.int64]):
     def __init__(self, config: Config | None = None, *, hands_off: bool = False) -> None:
         self.config = config or Config()
         self._hands_off = hands_off
-        self._road = road.load(self.config.network.file)
+        self._road = road.load(self.config.network.file, self.config.network.course)
         self._demand = road.check_demand(self.config.traffic.routes)
         lidar = self.config.lidar
         self._lidar = Lidar(lidar.n_rays, lidar.max_range_m, self._road.boundaries if lidar.road_edges else None)
@@ -277,7 +277,7 @@ def check(world: Config) -> tuple[road.Road, list[str]]:
     Raises:
         InputError: it cannot be driven.
     """
-    course, drivable_m = road.load(world.network.file), HighwayEnv(world).drivable_m
+    course, drivable_m = road.load(world.network.file, world.network.course), HighwayEnv(world).drivable_m
     warnings = []
     if drivable_m < world.episode.course_m:
         warnings.append(

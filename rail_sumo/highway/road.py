@@ -20,10 +20,9 @@ import sumolib.net
 
 from rail_sumo import assets
 from rail_sumo.errors import InputError
+from rail_sumo.highway import course
+from rail_sumo.highway.course import car_lanes, connections
 from rail_sumo.records import Floats
-
-CAR = "passenger"
-"""The vehicle class that must be allowed on the course."""
 
 NARROWEST_LANE_M = 2.4
 """A car of 1.8 m with 0.3 m to either side."""
@@ -119,18 +118,16 @@ class Road:
         return tuple(ids)
 
 
-def load(file: str) -> Road:
-    """Read a network, a shipped one's name or a `.net.xml`, and choose the course.
+def load(file: str, wanted: tuple[str, ...] = ()) -> Road:
+    """Read a network, a shipped one's name or a `.net.xml`, and lay the course along the edges wanted.
 
-    The course is the longest chain of edges with two or more lanes for cars in which each edge is followed by the one
-    that its most lanes lead straight on to; a loop counts twice its length, since it never ends. Equal chains are told
-    apart by their edges' ids, so the choice depends on the file alone.
+    Without any it is the longest way straight on; see `course`.
 
     Raises:
-        InputError: no such file, not a SUMO network, a truncated one, or one without a place to change lanes.
+        InputError: no such file, not a SUMO network, a truncated one, or one without such a course.
     """
     path = assets.network(file)
-    return _load(path, _state(path))
+    return _load(path, wanted, _state(path))
 
 
 def warnings(road: Road) -> Iterator[str]:
@@ -173,17 +170,17 @@ def _state(path: Path) -> tuple[int, int]:
 
 
 @lru_cache(maxsize=32)
-def _load(path: Path, state: tuple[int, int]) -> Road:
+def _load(path: Path, wanted: tuple[str, ...], state: tuple[int, int]) -> Road:
     net = _read(path)
-    course, is_loop = _course(net, path)
-    joints = [_joint(here, ahead) for here, ahead in itertools.pairwise(course)]
-    joints.append(_joint(course[-1], course[0]) if is_loop else [])
-    boundaries = np.concatenate([_border(net, course, joints, is_loop, side) for side in ("right", "left")])
+    edges, is_loop = course.along(net, path.name, wanted) if wanted else course.longest(net, path.name)
+    joints = [connections(here, ahead) for here, ahead in itertools.pairwise(edges)]
+    joints.append(connections(edges[-1], edges[0]) if is_loop else [])
+    boundaries = np.concatenate([_border(net, edges, joints, is_loop, side) for side in ("right", "left")])
     boundaries.setflags(write=False)
     return Road(
         net_file=path,
         name=path.name.removesuffix(".gz").removesuffix(assets.NETWORK_SUFFIX),
-        edges=tuple(map(_edge, course, _leads_on_m(course, joints, is_loop))),
+        edges=tuple(map(_edge, edges, _leads_on_m(edges, joints, is_loop))),
         junctions_m=tuple(_through_m(net, joint) for joint in joints),
         is_loop=is_loop,
         boundaries=boundaries,
@@ -239,76 +236,21 @@ def _elements(path: Path, state: tuple[int, int]) -> frozenset[str]:
     return frozenset(names)
 
 
-def _lanes(edge: Any) -> list[Any]:
-    # The lanes open to cars: the widest group without a closed lane in between, the rightmost such.
-    groups = itertools.groupby(edge.getLanes(), key=lambda lane: lane.allows(CAR))
-    return max((list(lanes) for is_open, lanes in groups if is_open), key=len, default=[])
-
-
-def _joint(here: Any, ahead: Any) -> list[Any]:
-    # The connections that lead a car from one edge to the next, from right to left.
-    start, end = _lanes(here), _lanes(ahead)
-    connections = [c for c in here.getConnections(ahead) if c.getFromLane() in start and c.getToLane() in end]
-    return sorted(connections, key=lambda c: (c.getFromLane().getIndex(), c.getToLane().getIndex()))
-
-
-def _course(net: Any, path: Path) -> tuple[list[Any], bool]:
-    drivable = {edge for edge in net.getEdges(withInternal=False) if len(_lanes(edge)) >= 2}
-    if not drivable:
-        raise InputError(
-            f"network '{path.name}' has no drivable edge with two or more lanes; "
-            f"rail-sumo needs a place to change lanes"
-        )
-    following = {edge: _next(edge, drivable) for edge in drivable}
-    chains = itertools.chain.from_iterable(_chains(edge, following) for edge in drivable)
-    return min(chains, key=_rank)
-
-
-def _next(edge: Any, drivable: set[Any]) -> Any | None:
-    choices = []
-    for ahead in edge.getOutgoing():
-        joint = [c for c in _joint(edge, ahead) if c.getDirection() != c.LINKDIR_TURN] if ahead in drivable else []
-        if joint:
-            is_straight = any(c.getDirection() == c.LINKDIR_STRAIGHT for c in joint)
-            choices.append((not is_straight, -len({c.getFromLane() for c in joint}), ahead.getID(), ahead))
-    return min(choices)[-1] if choices else None
-
-
-def _chains(first: Any, following: dict[Any, Any | None]) -> Iterator[tuple[list[Any], bool]]:
-    # The chain from an edge on; and where it runs into a loop, the loop alone.
-    places: dict[Any, int] = {}
-    edge: Any | None = first
-    while edge is not None and edge not in places:
-        places[edge] = len(places)
-        edge = following[edge]
-    chain = list(places)
-    if edge is not first:
-        yield chain, False
-    if edge is not None:
-        yield chain[places[edge] :], True
-
-
-def _rank(candidate: tuple[list[Any], bool]) -> tuple[float, list[str]]:
-    chain, is_loop = candidate
-    length_m = math.fsum(edge.getLength() for edge in chain)  # exact: the same loop is as long from every edge
-    return -length_m * (2 if is_loop else 1), [edge.getID() for edge in chain]
-
-
-def _leads_on_m(course: list[Any], joints: list[list[Any]], is_loop: bool) -> list[tuple[float, ...]]:
+def _leads_on_m(edges: list[Any], joints: list[list[Any]], is_loop: bool) -> list[tuple[float, ...]]:
     # For every edge's lanes how far they lead on, from the last edge back; twice round a loop, whose end is nowhere.
-    leads_on = [dict.fromkeys(_lanes(edge), math.inf) for edge in course]
-    backwards = range(len(course) - 1, -1, -1)
+    leads_on = [dict.fromkeys(car_lanes(edge), math.inf) for edge in edges]
+    backwards = range(len(edges) - 1, -1, -1)
     for k in [*backwards, *backwards] if is_loop else backwards[1:]:
-        ahead = (k + 1) % len(course)
+        ahead = (k + 1) % len(edges)
         leads_on[k] = dict.fromkeys(leads_on[k], 0.0)
         for c in joints[k]:
-            farther = course[ahead].getLength() + leads_on[ahead][c.getToLane()]
+            farther = edges[ahead].getLength() + leads_on[ahead][c.getToLane()]
             leads_on[k][c.getFromLane()] = max(leads_on[k][c.getFromLane()], farther)
     return [tuple(lanes.values()) for lanes in leads_on]
 
 
 def _edge(edge: Any, leads_on_m: tuple[float, ...]) -> Edge:
-    lanes = _lanes(edge)
+    lanes = car_lanes(edge)
     return Edge(
         id=edge.getID(),
         length_m=edge.getLength(),
@@ -331,13 +273,13 @@ def _through_m(net: Any, joint: list[Any]) -> float:
     return fmean(ways) if ways else 0.0
 
 
-def _border(net: Any, course: list[Any], joints: list[list[Any]], is_loop: bool, side: str) -> Floats:
+def _border(net: Any, edges: list[Any], joints: list[list[Any]], is_loop: bool, side: str) -> Floats:
     outermost = 0 if side == "right" else -1
     sign = -1.0 if side == "right" else 1.0
     points: list[Floats] = []
-    for edge, joint in zip(course, joints, strict=True):
+    for edge, joint in zip(edges, joints, strict=True):
         inside = _inside(net, joint[outermost]) if joint else ()
-        for lane in (_lanes(edge)[outermost], *inside):
+        for lane in (car_lanes(edge)[outermost], *inside):
             shape = np.array(lane.getShape(), dtype=np.float64)
             points.extend(offset(shape, sign * lane.getWidth() / 2))
     line = _distinct(np.array(points))

@@ -1,0 +1,124 @@
+"""Which edges of a network the host drives along: those its user wants, or the longest way straight on."""
+
+import itertools
+import math
+from collections.abc import Iterator
+from typing import Any
+
+from rail_sumo.errors import InputError, did_you_mean
+
+CAR = "passenger"
+"""The vehicle class that must be allowed on the course."""
+
+
+def car_lanes(edge: Any) -> list[Any]:
+    """Return an edge's lanes open to cars: the widest group without a closed lane in between, the rightmost such."""
+    groups = itertools.groupby(edge.getLanes(), key=lambda lane: lane.allows(CAR))
+    return max((list(lanes) for is_open, lanes in groups if is_open), key=len, default=[])
+
+
+def connections(here: Any, ahead: Any) -> list[Any]:
+    """Return the connections that lead a car from one edge to the next, from right to left."""
+    start, end = car_lanes(here), car_lanes(ahead)
+    found = [c for c in here.getConnections(ahead) if c.getFromLane() in start and c.getToLane() in end]
+    return sorted(found, key=lambda c: (c.getFromLane().getIndex(), c.getToLane().getIndex()))
+
+
+def along(net: Any, name: str, wanted: tuple[str, ...]) -> tuple[list[Any], bool]:
+    """Return the course that leads over the edges wanted, in their order, and whether it is a loop.
+
+    Between two that do not follow each other it takes the shortest way for cars. It is a loop if the first edge is
+    wanted again at the end.
+
+    Args:
+        net: the network, as sumolib has it.
+        name: what to call it.
+        wanted: the edges' ids, one or more.
+
+    Raises:
+        InputError: no such edge, no such way, or a way with fewer than two lanes for cars or twice over one edge.
+    """
+    for edge_id in wanted:
+        if not net.hasEdge(edge_id):
+            ids = [edge.getID() for edge in net.getEdges(withInternal=False)]
+            raise InputError(f"network '{name}' has no edge '{edge_id}'{did_you_mean(edge_id, ids)}")
+    first, *others = map(net.getEdge, wanted)
+    edges = [first]
+    for ahead in others:
+        edges += _between(edges[-1], ahead, net, name)
+    is_loop = len(edges) > 1 and edges[-1] is first
+    if is_loop:
+        edges.pop()
+    for edge in edges:
+        if len(car_lanes(edge)) < 2:
+            raise InputError(
+                f"network '{name}': the course runs over edge '{edge.getID()}', which has fewer than two lanes for "
+                f"cars; rail-sumo needs a place to change lanes, so lead network.course around it"
+            )
+        if edges.count(edge) > 1:
+            raise InputError(
+                f"network '{name}': the course runs twice over edge '{edge.getID()}'; lead network.course so that it "
+                f"does not, or name the first edge again at its end to go round"
+            )
+    return edges, is_loop
+
+
+def _between(here: Any, ahead: Any, net: Any, name: str) -> tuple[Any, ...]:
+    # The edges after `here`, up to and with `ahead`.
+    way = (here, ahead) if ahead in here.getOutgoing() else net.getOptimalPath(here, ahead, vClass=CAR)[0]
+    if way is None or len(way) < 2 or not all(itertools.starmap(connections, itertools.pairwise(way))):
+        raise InputError(
+            f"network '{name}': no way for cars leads from edge '{here.getID()}' to edge '{ahead.getID()}'; name the "
+            f"edges of network.course in driving order"
+        )
+    return way[1:]
+
+
+def longest(net: Any, name: str) -> tuple[list[Any], bool]:
+    """Return the longest way straight on, and whether it is a loop.
+
+    It is the longest chain of edges with two or more lanes for cars in which each edge is followed by the one that its
+    most lanes lead straight on to; a loop counts twice its length, since it never ends. Equal chains are told apart by
+    their edges' ids, so the choice depends on the network alone.
+
+    Raises:
+        InputError: no place to change lanes.
+    """
+    drivable = {edge for edge in net.getEdges(withInternal=False) if len(car_lanes(edge)) >= 2}
+    if not drivable:
+        raise InputError(
+            f"network '{name}' has no drivable edge with two or more lanes; rail-sumo needs a place to change lanes"
+        )
+    following = {edge: _next(edge, drivable) for edge in drivable}
+    chains = itertools.chain.from_iterable(_chains(edge, following) for edge in drivable)
+    return min(chains, key=_rank)
+
+
+def _next(edge: Any, drivable: set[Any]) -> Any | None:
+    choices = []
+    for ahead in edge.getOutgoing():
+        joint = [c for c in connections(edge, ahead) if c.getDirection() != c.LINKDIR_TURN] if ahead in drivable else []
+        if joint:
+            is_straight = any(c.getDirection() == c.LINKDIR_STRAIGHT for c in joint)
+            choices.append((not is_straight, -len({c.getFromLane() for c in joint}), ahead.getID(), ahead))
+    return min(choices)[-1] if choices else None
+
+
+def _chains(first: Any, following: dict[Any, Any | None]) -> Iterator[tuple[list[Any], bool]]:
+    # The chain from an edge on; and where it runs into a loop, the loop alone.
+    places: dict[Any, int] = {}
+    edge: Any | None = first
+    while edge is not None and edge not in places:
+        places[edge] = len(places)
+        edge = following[edge]
+    chain = list(places)
+    if edge is not first:
+        yield chain, False
+    if edge is not None:
+        yield chain[places[edge] :], True
+
+
+def _rank(candidate: tuple[list[Any], bool]) -> tuple[float, list[str]]:
+    chain, is_loop = candidate
+    length_m = math.fsum(edge.getLength() for edge in chain)  # exact: the same loop is as long from every edge
+    return -length_m * (2 if is_loop else 1), [edge.getID() for edge in chain]
