@@ -138,11 +138,9 @@ def test_eval_prints_a_row_per_policy_and_writes_four_tables(rail_sumo, tmp_path
     assert set(episodes["duration_s"][:2]) == {5.0}
 
 
-@pytest.mark.parametrize(
-    "command",
-    ["train", "eval keep", "expert train", "expert record --out new.parquet", "reproduce table1", "reproduce figures"],
-)
-def test_whatever_drives_takes_a_network_and_a_demand(rail_sumo, monkeypatch, command):
+@pytest.fixture
+def world_of(rail_sumo, monkeypatch):
+    """A function that returns the world a command line asks for, before anybody drives in it."""
     worlds = []
     load = config.load
 
@@ -150,12 +148,32 @@ def test_whatever_drives_takes_a_network_and_a_demand(rail_sumo, monkeypatch, co
         worlds.append(load(path, overrides))
         raise InputError("seen enough")
 
-    monkeypatch.setattr(config, "load", look_and_stop)
-    world = ("--network", "highway3", "--routes", "highway3", "--routes", "my.rou.xml", "--set", "traffic.begin_s=5")
-    assert rail_sumo(*command.split(), *world) == (2, "", "rail-sumo: seen enough\n")
-    assert worlds[0].network.file == "highway3"
-    assert worlds[0].traffic.routes == ("highway3", "my.rou.xml")
-    assert worlds[0].traffic.begin_s == 5.0
+    def ask(*command):
+        monkeypatch.setattr(config, "load", look_and_stop)
+        assert rail_sumo(*command) == (2, "", "rail-sumo: seen enough\n")
+        return worlds.pop()
+
+    return ask
+
+
+@pytest.mark.parametrize(
+    "command",
+    ["train", "eval keep", "expert train", "expert record --out new.parquet", "reproduce table1", "reproduce figures"],
+)
+def test_whatever_drives_takes_a_network_and_a_demand(world_of, command):
+    options = ("--network", "highway3", "--routes", "highway3", "--routes", "my.rou.xml", "--set", "traffic.begin_s=5")
+    world = world_of(*command.split(), *options)
+    assert world.network.file == "highway3"
+    assert world.traffic.routes == ("highway3", "my.rou.xml")
+    assert world.traffic.begin_s == 5.0
+
+
+def test_a_course_belongs_to_its_network(world_of, tmp_path):
+    (tmp_path / "mine.toml").write_text('network = {file = "ring5", course = ["ring6", "ring1"]}')
+    elsewhere = ("train", "mine.toml", "--network", "highway3")
+    assert world_of("train", "mine.toml").network.course == ("ring6", "ring1")
+    assert world_of(*elsewhere).network.course == ()
+    assert world_of(*elsewhere, "--set", 'network.course=["highway"]').network.course == ("highway",)
 
 
 def test_check_tells_the_edges_and_where_the_road_ends_too_soon(rail_sumo):
