@@ -56,7 +56,7 @@ class HostState:
     """Metres to the end of the edge; no lane can be crossed beyond it. 0 on a junction."""
     lane_width_m: float
     to_left_m: float
-    """Metres from the centre of its lane to that of the lane to the left; 0 where there is none."""
+    """Metres from the centre of its lane to that of the lane to the left; 0 where there is none to change to."""
     to_right_m: float
     leads_on_m: tuple[float, ...]
     """For each lane, from the rightmost: how far beyond the edge's end it leads on along the course; inf to its end."""

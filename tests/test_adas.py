@@ -42,8 +42,10 @@ def closed_on(*sides):
     return lambda side: CLOSED if side in sides else FREE
 
 
-def at(**changes):
-    return dataclasses.replace(MIDDLE, **changes)
+def at(lane=2, host=MIDDLE, **changes):
+    """The host on another lane of the five, or otherwise changed."""
+    beside = {"to_left_m": LANE_M if lane < 4 else 0.0, "to_right_m": LANE_M if lane > 0 else 0.0}
+    return dataclasses.replace(host, **beside | {"lane": lane} | changes)
 
 
 def kmh(speed):
@@ -65,7 +67,7 @@ class Road:
         for _ in range(steps):
             command = self.adas.command(self.host, self.gaps, steps=1)
             self.commands.append(command)
-            self.host = dataclasses.replace(self.host, lane=self.host.lane + command.cross)
+            self.host = at(self.host.lane + command.cross, self.host)
 
     def finish(self):
         """Drive the change under way to its end, whichever; returns where it passed, across the road."""
@@ -204,6 +206,8 @@ def test_what_the_layer_says_of_a_change_under_way(road):
     [
         (LEFT, at(lane=4), free),
         (RIGHT, at(lane=0), free),
+        (LEFT, at(to_left_m=0.0), free),  # a line forbids it
+        (RIGHT, at(to_right_m=0.0), free),
         (LEFT, at(to_edge_end_m=37.6), free),  # 20 m/s for 3.2 / 1.7 s are 37.65 m
         (LEFT, MIDDLE, closed_on(1)),
         (RIGHT, MIDDLE, closed_on(-1)),
@@ -285,6 +289,18 @@ def test_a_reversed_change_returns_to_the_centre_it_left_and_is_counted_as_abort
     assert (road.host.lane, road.commands[-1].lateral_m) == (2, 0.0)
     assert road.crossings == [side, -side][:crosses]
     assert road.counts == (0, 1, 0)
+
+
+def test_over_a_line_that_may_be_crossed_one_way_only_nobody_turns_back(road):
+    road.decide(LEFT)
+    while road.host.lane == 2:
+        road.step()
+    road.host = at(3, to_right_m=0.0)
+    assert not road.adas.allowed(road.host, free)[RIGHT]
+    road.decide(RIGHT)
+    while road.adas.changing_lane:
+        assert road.adas.command(road.host, closed_on(-1, 0, 1), steps=1).cross == 0
+    assert road.counts == (1, 0, 1)
 
 
 def test_a_reversed_change_runs_to_its_end(road):

@@ -168,14 +168,6 @@ def test_whatever_drives_takes_a_network_and_a_demand(world_of, command):
     assert world.traffic.begin_s == 5.0
 
 
-def test_a_course_belongs_to_its_network(world_of, tmp_path):
-    (tmp_path / "mine.toml").write_text('network = {file = "ring5", course = ["ring6", "ring1"]}')
-    elsewhere = ("train", "mine.toml", "--network", "highway3")
-    assert world_of("train", "mine.toml").network.course == ("ring6", "ring1")
-    assert world_of(*elsewhere).network.course == ()
-    assert world_of(*elsewhere, "--set", 'network.course=["highway"]').network.course == ("highway",)
-
-
 def test_check_tells_the_edges_and_where_the_road_ends_too_soon(rail_sumo):
     assert rail_sumo("network", "check", "highway5")[1] == "highway5: road of 8,200 m with 5 lanes\nedges: highway\n"
     longer = ("--set", "episode.course_m=8000")

@@ -133,7 +133,7 @@ def test_without_any_wanted_it_is_the_longest_way_as_ever(fork):
 @pytest.mark.parametrize(
     ("wanted", "message"),
     [
-        (["a", "x"], r"has no edge 'x' \(available: a, b, c, d, e, f\)$"),
+        (["a", "x"], r"has no edge 'x', which network\.course names \(available: a, b, c, d, e, f\)$"),
         (
             ["a", "f", "d"],
             r"the course runs over edge 'f', which has fewer than two lanes for cars; rail-sumo needs ",
@@ -154,5 +154,5 @@ def test_no_way_from_one_edge_to_the_next_is_told(network):
 
 
 def test_of_many_edges_a_message_tells_some(network):
-    with pytest.raises(InputError, match=r"'e100'; did you mean 'e10'\? \(available: e10, .*, e25, and 4 more\)$"):
+    with pytest.raises(InputError, match=r"names; did you mean 'e10'\? \(available: e10, .*, e25, and 4 more\)$"):
         road.load(network(*(edge(f"e{k}") for k in range(10, 30))), ("e100",))

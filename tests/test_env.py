@@ -425,6 +425,55 @@ def test_the_road_ends_the_episode_before_the_host_runs_off_it(make, short_road,
     assert 900.0 - decision_period_s * max_speed_kmh / KMH < travelled_m < 1000.0  # it starts at 200 m
 
 
+def test_a_solid_line_is_not_crossed(make, watched, tmp_path):
+    """Between the two right lanes of three."""
+    path = tmp_path / "lined.net.xml"
+    text = assets.network("highway3").read_text()
+    text = text.replace('index="0"', 'index="0" changeLeft="emergency"')
+    path.write_text(text.replace('index="1"', 'index="1" changeRight="emergency"'))
+    config = world(network={"file": str(path)}, traffic={"vehicles": 6}, episode={"duration_s": 120.0})
+    rng = np.random.default_rng(0)
+    changes = []
+    for seed in range(6):
+        driven = drive(make(config), lambda env: rng.choice([LEFT, RIGHT]), UNSEEN + seed)
+        lanes = {round(scene.y_m[0] / LANE_M) for scene in watched().scenes}  # -1 the rightmost
+        assert lanes in ({-1}, {0, 1}, {0}, {1})
+        changes += [(driven.lane_changes > 0, lanes == {0, 1})]
+    assert changes.count((True, True)) > 1
+    assert changes.count((False, False)) > 0
+
+
+def test_who_drives_on_a_road_beside_the_hosts_is_not_overtaken(make, tmp_path):
+    """Slow cars on one of two roads 35 m apart; on the other the host is alone."""
+    text = assets.network("highway3").read_text()
+    edges = text[text.index("<edge") : text.index("</edge>") + len("</edge>")]
+    beside = edges.replace("highway", "beside").replace("west", "west2").replace("east", "east2")
+    for left, right in ((",-3.20", ",-38.20"), (",0.00", ",-35.00"), (",3.20", ",-31.80")):
+        beside = beside.replace(left, right)
+    junctions = text[text.index("<junction") : text.index("</net>")]
+    more = junctions.replace("highway", "beside").replace('"west"', '"west2"').replace('"east"', '"east2"')
+    network, demand = tmp_path / "two.net.xml", tmp_path / "slow.rou.xml"
+    network.write_text(text.replace(edges, edges + beside).replace(junctions, junctions + more))
+    demand.write_text(
+        '<routes><route id="r" edges="beside"/><vType id="slow" maxSpeed="8"/>'
+        '<flow id="f" type="slow" route="r" begin="0" end="400" period="5" departLane="random"/></routes>'
+    )
+    on = {
+        road: drive(
+            make(
+                world(
+                    network={"file": str(network), "course": (road,)},
+                    traffic={"routes": (str(demand),), "warm_up_s": 200.0},
+                )
+            ),
+            always(ACCELERATE),
+        )
+        for road in ("beside", "highway")
+    }
+    assert on["beside"].overtakes > 5
+    assert on["highway"].overtakes == 0
+
+
 def test_the_host_drives_along_the_edges_wanted_and_no_farther(make):
     """Half the ring: four of its eight edges of 392.7 m, from whose first the host starts."""
     env = make(world(network={"file": "ring5", "course": ("ring6", "ring1")}, episode={"duration_s": 300.0}))

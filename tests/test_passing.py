@@ -51,6 +51,13 @@ def test_between_two_looks_a_whole_pass_counts():
     assert passes(-8.0, 8.0) == (0, 1)
 
 
+def test_who_does_not_count_is_neither_passed_nor_passes():
+    counter = PassCounter()
+    looks = [scene(car=12.0, other=15.0, late=-15.0), scene(car=-12.0, other=-15.0, late=15.0)]
+    assert [counter.update(look, lambda name: name == "car") for look in looks] == [(0, 0), (1, 0)]
+    assert counter.update(looks[0]) == (1, 2)  # and by then everybody does
+
+
 @pytest.mark.parametrize("heading_rad", [0.7, math.pi / 2, -2.5])
 def test_ahead_is_along_the_hosts_heading(heading_rad):
     assert passes(20.0, 0.0, -20.0, heading_rad=heading_rad) == (1, 0)

@@ -156,6 +156,30 @@ def test_the_way_through_a_junction_counts_and_has_borders(network):
     assert np.array([103.0, 7.2 + 1.6 / 0.6]) == pytest.approx(swerving.boundaries[-3, :2])
 
 
+def test_a_line_that_cars_may_not_cross_parts_the_lanes(network, tmp_path):
+    file = Path(network(edge("a", lanes=4, width=3.0)))
+    lines = {0: 'changeLeft="emergency"', 2: 'changeLeft="bus passenger" changeRight=""', 3: 'changeRight="all"'}
+    text = file.read_text()
+    for lane, line in lines.items():
+        text = text.replace(f'index="{lane}"', f'index="{lane}" {line}')
+    file.write_text(text)
+    (lined,) = road.load(str(file)).edges
+    assert lined.to_left_m == (0.0, 3.0, 3.0, 0.0)
+    assert lined.to_right_m == (0.0, 3.0, 0.0, 3.0)
+    assert list(road.warnings(road.load(str(file)))) == [
+        "lines on edge 'a' forbid some lane changes; the host will not make them"
+    ]
+
+
+def test_lanes_of_different_widths_are_half_of_either_apart(network):
+    file = Path(network(edge("a", lanes=3, width=3.0)))
+    right, left = file.read_text().split('id="a_1"')
+    file.write_text(right + 'id="a_1"' + left.replace('width="3.0"', 'width="4.0"', 1))
+    (mixed,) = road.load(str(file)).edges
+    assert mixed.to_left_m == (3.5, 3.5, 0.0)
+    assert mixed.to_right_m == (0.0, 3.5, 3.5)
+
+
 def test_a_lane_leads_on_over_as_many_edges_as_it_does(network):
     file = network(
         edge("a", lanes=3),

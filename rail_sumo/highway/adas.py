@@ -125,11 +125,11 @@ class Adas:
         self._crossed = self._reversing = False
 
     def _open(self, side: Side, host: HostState, gaps: Callable[[int], Gaps]) -> bool:
-        """Whether a change to this side may begin: there is a lane, road enough to cross over, and a gap.
+        """Whether a change to this side may begin: there is a lane, no line forbids it, road enough, and a gap.
 
         There is none into a lane that soon leads off the course, or farther away from it.
         """
-        if not host.rightmost_lane <= host.lane + side <= host.leftmost_lane:
+        if not _across(host, side):
             return False
         if host.to_edge_end_m < host.speed_mps * _across(host, side) / self._config.lateral_speed_mps:
             return False
@@ -141,8 +141,9 @@ class Adas:
         if not self._crossed:
             return True
         assert self._side is not None
+        back = LEFT if self._side == RIGHT else RIGHT
         room = host.to_edge_end_m > host.speed_mps * self._width / self._config.lateral_speed_mps
-        return room and self._safe(host.speed_mps, gaps(-self._side))
+        return bool(_across(host, back)) and room and self._safe(host.speed_mps, gaps(back))
 
     def _safe(self, speed_mps: float, gap: Gaps) -> bool:
         """The gate: the host's ACC need not brake behind its new leader, nor the new follower brake hard.

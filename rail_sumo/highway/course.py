@@ -41,7 +41,9 @@ def along(net: Any, name: str, wanted: tuple[str, ...]) -> tuple[list[Any], bool
     for edge_id in wanted:
         if not net.hasEdge(edge_id):
             ids = [edge.getID() for edge in net.getEdges(withInternal=False)]
-            raise InputError(f"network '{name}' has no edge '{edge_id}'{did_you_mean(edge_id, ids)}")
+            raise InputError(
+                f"network '{name}' has no edge '{edge_id}', which network.course names{did_you_mean(edge_id, ids)}"
+            )
     first, *others = map(net.getEdge, wanted)
     edges = [first]
     for ahead in others:
@@ -66,11 +68,17 @@ def along(net: Any, name: str, wanted: tuple[str, ...]) -> tuple[list[Any], bool
 def _between(here: Any, ahead: Any, net: Any, name: str) -> tuple[Any, ...]:
     # The edges after `here`, up to and with `ahead`.
     way = (here, ahead) if ahead in here.getOutgoing() else net.getOptimalPath(here, ahead, vClass=CAR)[0]
-    if way is None or len(way) < 2 or not all(itertools.starmap(connections, itertools.pairwise(way))):
+    if way is None or len(way) < 2:
         raise InputError(
             f"network '{name}': no way for cars leads from edge '{here.getID()}' to edge '{ahead.getID()}'; name the "
             f"edges of network.course in driving order"
         )
+    for one, other in itertools.pairwise(way):
+        if not connections(one, other):
+            raise InputError(
+                f"network '{name}': none of the lanes that the host may use, the widest group open to cars, leads from "
+                f"edge '{one.getID()}' on to edge '{other.getID()}'; lead network.course around them"
+            )
     return way[1:]
 
 

@@ -169,7 +169,7 @@ class HighwayEnv(gymnasium.Env[Floats, np.int64]):
         simulation, adas = self._simulation, self._adas
         assert simulation is not None
         scene = simulation.scene()
-        overtakes, overtaken = self._passes.update(scene)
+        overtakes, overtaken = self._passes.update(scene, simulation.is_on_course)
         self._overtakes += overtakes
         self._overtaken += overtaken
         self._scene = scene

@@ -1,6 +1,7 @@
 """Who passes whom."""
 
 import math
+from collections.abc import Callable
 
 import numpy as np
 
@@ -25,8 +26,13 @@ class PassCounter:
         self._ahead: set[str] = set()
         self._behind: set[str] = set()
 
-    def update(self, scene: Scene) -> tuple[int, int]:
-        """Return how many vehicles the host overtook, and how many overtook it, since the last look."""
+    def update(self, scene: Scene, counts: Callable[[str], bool] = lambda name: True) -> tuple[int, int]:
+        """Return how many vehicles the host overtook, and how many overtook it, since the last look.
+
+        Args:
+            scene: what is around the host now.
+            counts: whether a vehicle does: one on a road beside the host's is none to be overtaken.
+        """
         heading = scene.heading_rad[0]
         east, north = scene.x_m - scene.x_m[0], scene.y_m - scene.y_m[0]
         along = east * math.cos(heading) + north * math.sin(heading)
@@ -41,7 +47,7 @@ class PassCounter:
             if apart < NEAR_M:
                 side = ahead if distance > touching else behind if distance < -touching else alongside
                 side.add(name)
-        overtakes, overtaken = len(self._ahead & behind), len(self._behind & ahead)
+        overtakes, overtaken = (sum(map(counts, passed)) for passed in (self._ahead & behind, self._behind & ahead))
         self._ahead = ahead | (self._ahead & alongside)
         self._behind = behind | (self._behind & alongside)
         return overtakes, overtaken

@@ -21,7 +21,7 @@ import sumolib.net
 from rail_sumo import assets
 from rail_sumo.errors import InputError
 from rail_sumo.highway import course
-from rail_sumo.highway.course import car_lanes, connections
+from rail_sumo.highway.course import CAR, car_lanes, connections
 from rail_sumo.records import Floats
 
 NARROWEST_LANE_M = 2.4
@@ -29,6 +29,9 @@ NARROWEST_LANE_M = 2.4
 
 SHORT_EDGE_M = 42.0
 """How far a car at 80 km/h drives while it changes lanes, 3.2 m at 1.7 m/s."""
+
+LEFT, RIGHT = "changeLeft", "changeRight"
+"""The attributes of a lane that list who may change from it."""
 
 SAME_POINT_M = 0.05
 """Points of a border closer than this are one; netconvert rounds to 0.01 m."""
@@ -43,6 +46,10 @@ class Edge:
     id: str
     length_m: float
     lane_widths_m: tuple[float, ...]
+    to_left_m: tuple[float, ...]
+    """For each lane: from its centre to that of the lane to its left; 0 where there is none or a line forbids it."""
+    to_right_m: tuple[float, ...]
+    """The same to its right."""
     leads_on_m: tuple[float, ...]
     """For each lane: how far beyond the edge's end it leads on along the course, junctions left out; inf to its end."""
     first_lane: int = 0
@@ -133,10 +140,11 @@ def load(file: str, wanted: tuple[str, ...] = ()) -> Road:
 def warnings(road: Road) -> Iterator[str]:
     """Tell what makes it a poor course."""
     for edge in road.edges:
-        ending = [lane for lane, leads_on_m in enumerate(edge.leads_on_m, edge.first_lane) if not leads_on_m]
-        if ending:
-            lanes = ", ".join(map(str, ending))
-            yield f"lane {lanes} of edge '{edge.id}' does not lead on along the course; the host must leave it in time"
+        for lane, leads_on_m in enumerate(edge.leads_on_m, edge.first_lane):
+            if not leads_on_m:
+                yield f"lane {lane} of edge '{edge.id}' does not lead on along the course; the host must leave it"
+        if 0.0 in (*edge.to_left_m[:-1], *edge.to_right_m[1:]):
+            yield f"lines on edge '{edge.id}' forbid some lane changes; the host will not make them"
         if edge.length_m < SHORT_EDGE_M:
             yield (
                 f"edge '{edge.id}' is {edge.length_m:.0f} m long; lane changes must end on the edge they begin on, and "
@@ -192,11 +200,16 @@ def _open(path: Path) -> BufferedIOBase:
 
 
 class _Reader(sumolib.net.NetReader):
+    """Reads also what sumolib leaves out: on which side to drive, and who may change lanes."""
+
     is_left_hand = False
 
     def startElement(self, name: str, attrs: Any) -> None:
         self.is_left_hand = self.is_left_hand or (name == "net" and attrs.get("lefthand") == "true")
         super().startElement(name, attrs)
+        for side in (LEFT, RIGHT) if name == "lane" else ():
+            if side in attrs:
+                self._currentLane.setParam(side, attrs[side])
 
 
 def _read(path: Path) -> Any:
@@ -251,13 +264,23 @@ def _leads_on_m(edges: list[Any], joints: list[list[Any]], is_loop: bool) -> lis
 
 def _edge(edge: Any, leads_on_m: tuple[float, ...]) -> Edge:
     lanes = car_lanes(edge)
+    widths = tuple(lane.getWidth() for lane in lanes)
+    pairs = list(itertools.pairwise(lanes))
+    apart = [0.5 * (width + to_its_left) for width, to_its_left in itertools.pairwise(widths)]
     return Edge(
         id=edge.getID(),
         length_m=edge.getLength(),
-        lane_widths_m=tuple(lane.getWidth() for lane in lanes),
+        lane_widths_m=widths,
+        to_left_m=(*(m * _may_cross(lane, LEFT) for m, (lane, _) in zip(apart, pairs, strict=True)), 0.0),
+        to_right_m=(0.0, *(m * _may_cross(lane, RIGHT) for m, (_, lane) in zip(apart, pairs, strict=True))),
         leads_on_m=leads_on_m,
         first_lane=lanes[0].getIndex(),
     )
+
+
+def _may_cross(lane: Any, side: str) -> bool:
+    allowed = lane.getParam(side, "all").split()
+    return "all" in allowed or CAR in allowed
 
 
 def _inside(net: Any, connection: Any) -> Iterator[Any]:

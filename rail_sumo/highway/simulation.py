@@ -186,6 +186,11 @@ class Simulation:
         """Return the names of all vehicles that have been inserted and have not arrived."""
         return set(libsumo.vehicle.getIDList())
 
+    def is_on_course(self, name: str) -> bool:
+        """Return whether a vehicle on the road drives along the host's course, or has just come from it."""
+        route, at = libsumo.vehicle.getRoute(name), libsumo.vehicle.getRouteIndex(name)
+        return route[at] in self._edges
+
     def travelled_m(self, name: str) -> float:
         """Return a vehicle's odometer: metres driven since its insertion."""
         return libsumo.vehicle.getDistance(name)
@@ -252,13 +257,18 @@ class Simulation:
         speed, lane = vehicle.getSpeed(HOST), vehicle.getLaneIndex(HOST)
         if edge is None or lane not in (lanes := edge.lanes):  # on a junction, or strayed
             return HostState(speed, lane, lane, lane, 0.0, 0.0, 0.0, 0.0, (math.inf,))
-        rightmost, leftmost = lanes[0], lanes[-1]
-        to_end = edge.length_m - vehicle.getLanePosition(HOST)
-        widths = edge.lane_widths_m
-        here = lane - rightmost
-        to_left = 0.5 * (widths[here] + widths[here + 1]) if lane < leftmost else 0.0
-        to_right = 0.5 * (widths[here] + widths[here - 1]) if lane > rightmost else 0.0
-        return HostState(speed, lane, rightmost, leftmost, to_end, widths[here], to_left, to_right, edge.leads_on_m)
+        here = lane - edge.first_lane
+        return HostState(
+            speed_mps=speed,
+            lane=lane,
+            rightmost_lane=lanes[0],
+            leftmost_lane=lanes[-1],
+            to_edge_end_m=edge.length_m - vehicle.getLanePosition(HOST),
+            lane_width_m=edge.lane_widths_m[here],
+            to_left_m=edge.to_left_m[here],
+            to_right_m=edge.to_right_m[here],
+            leads_on_m=edge.leads_on_m,
+        )
 
     def gaps(self, side: int) -> Gaps:
         """Return the gaps in the host's own lane (0) or the one to its left (+1) or right (-1)."""
