@@ -33,6 +33,11 @@ def routes(name_or_path: str) -> Path:
     return _find("routes", name_or_path, ROUTES_SUFFIX, "routes")
 
 
+def additional(path: str) -> Path:
+    """Return one of SUMO's additional files, always the user's own; errors as in `network`."""
+    return _own("additional", Path(path))
+
+
 def network_names() -> tuple[str, ...]:
     """Return the shipped networks' names in alphabetical order."""
     return _names("networks", NETWORK_SUFFIX)
@@ -95,13 +100,19 @@ def _find(kind: str, name_or_path: str, suffix: str, folder: str) -> Path:
     path = Path(name_or_path)
     looks_like_a_path = "/" in name_or_path or "\\" in name_or_path or name_or_path.endswith((".xml", ".gz"))
     if looks_like_a_path or path.is_file():
-        return _readable(kind, path)
+        return _own(kind, path)
     raise InputError(f"{kind} '{name_or_path}' not found{did_you_mean(name_or_path, names)}")
 
 
 def _names(folder: str, suffix: str) -> tuple[str, ...]:
     files = (data_root() / folder).glob(f"*{suffix}")
     return tuple(sorted(path.name.removesuffix(suffix) for path in files))
+
+
+def _own(kind: str, path: Path) -> Path:
+    if "," in str(path):
+        raise InputError(f"{kind} file '{path}' has a comma in its path, where SUMO would split it in two; rename it")
+    return _readable(kind, path)
 
 
 def _readable(kind: str, path: Path) -> Path:

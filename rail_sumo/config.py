@@ -63,6 +63,9 @@ class Traffic(_Section):
 
     routes: tuple[str, ...] = ()
     """The user's demand files (`.rou.xml`); empty for the moving window."""
+    additional: tuple[str, ...] = ()
+    """SUMO's additional files: stops, signal programs, rerouters and the like. What they have SUMO write, every episode
+    writes anew."""
     vehicles: Annotated[int, Field(ge=0, le=500)] = 16
     ahead_m: Annotated[float, Field(ge=50.0, le=2000.0)] = 250.0
     behind_m: Annotated[float, Field(ge=50.0, le=2000.0)] = 150.0
@@ -415,7 +418,7 @@ def _explain(error: ValidationError) -> str:
     if first["type"] == "extra_forbidden":
         return f"configuration: unknown key '{location}'{_suggest(first['loc'])}{more}"
     message = " or ".join([first["msg"].removeprefix("Value error, "), *(other["msg"] for other in others)])
-    message = message.replace(" or Input should be", " or")
+    message = message.replace(" or Input should be", " or").replace("valid array", 'list, written ["...", "..."]')
     given = "" if isinstance(first["input"], dict) else f", got {first['input']!r}"
     return ": ".join(filter(None, ["configuration", location, f"{message}{given}{more}"]))
 

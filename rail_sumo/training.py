@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from rail_sumo import assets, drivers, metrics, rollout
 from rail_sumo.config import Config
-from rail_sumo.highway import road
+from rail_sumo.highway import demand
 from rail_sumo.highway.observation import feature_names
 from rail_sumo.highway.reward import total_reward
 from rail_sumo.imitation.demonstrations import Demonstrations
@@ -306,11 +306,13 @@ def _demonstrations_file(config: Config) -> Path:
 
 def inputs_of(config: Config) -> dict[str, str]:
     """Return the SHA-256 of every file that a training with this configuration reads, by the key that names it."""
-    demand = road.check_demand(config.traffic.routes)
+    routes, additional = demand.check(config.traffic.routes, config.traffic.additional)
     inputs = {
         "network.file": assets.sha256(assets.network(config.network.file)),
-        "traffic.routes": " ".join(map(assets.sha256, demand)),
+        "traffic.routes": " ".join(map(assets.sha256, routes)),
     }
+    if additional:
+        inputs["traffic.additional"] = " ".join(map(assets.sha256, additional))
     if config.train.learner != "ars":
         inputs["train.demonstrations"] = assets.sha256(_demonstrations_file(config))
     if config.train.learner == "dagger":

@@ -443,8 +443,9 @@ def test_a_solid_line_is_not_crossed(make, watched, tmp_path):
     assert changes.count((False, False)) > 0
 
 
-def test_who_drives_on_a_road_beside_the_hosts_is_not_overtaken(make, tmp_path):
-    """Slow cars on one of two roads 35 m apart; on the other the host is alone."""
+@pytest.fixture
+def two_roads(tmp_path):
+    """Two roads 35 m apart with slow cars on one, `beside`; on the other, `highway`, nobody drives."""
     text = assets.network("highway3").read_text()
     edges = text[text.index("<edge") : text.index("</edge>") + len("</edge>")]
     beside = edges.replace("highway", "beside").replace("west", "west2").replace("east", "east2")
@@ -458,20 +459,47 @@ def test_who_drives_on_a_road_beside_the_hosts_is_not_overtaken(make, tmp_path):
         '<routes><route id="r" edges="beside"/><vType id="slow" maxSpeed="8"/>'
         '<flow id="f" type="slow" route="r" begin="0" end="400" period="5" departLane="random"/></routes>'
     )
-    on = {
-        road: drive(
-            make(
-                world(
-                    network={"file": str(network), "course": (road,)},
-                    traffic={"routes": (str(demand),), "warm_up_s": 200.0},
-                )
-            ),
-            always(ACCELERATE),
-        )
-        for road in ("beside", "highway")
-    }
+
+    def along(road):
+        network_, traffic = {"file": str(network), "course": (road,)}, {"routes": (str(demand),), "warm_up_s": 200.0}
+        return world(network=network_, traffic=traffic, episode={"course_m": 7222.0})
+
+    return along
+
+
+def test_who_drives_on_a_road_beside_the_hosts_is_not_overtaken(make, two_roads):
+    on = {road: drive(make(two_roads(road)), always(ACCELERATE)) for road in ("beside", "highway")}
     assert on["beside"].overtakes > 5
     assert on["highway"].overtakes == 0
+
+
+def test_the_check_tells_of_a_demand_that_never_comes_along_the_course(two_roads):
+    assert env_module.check(two_roads("beside"))[1] == []
+    (told,) = env_module.check(two_roads("highway"))[1]
+    assert told.startswith("when the host enters, nobody of the demand drives along its course; set network.course")
+
+
+def test_the_check_tries_the_demand(tmp_path):
+    lost = tmp_path / "lost.rou.xml"
+    lost.write_text('<routes><vehicle id="v" depart="0"><route edges="nowhere"/></vehicle></routes>')
+    with pytest.raises(InputError, match=r"SUMO .*nowhere"):
+        env_module.check(world(traffic={"routes": (str(lost),)}))
+
+
+def test_additional_files_are_loaded(make, tmp_path):
+    """A bus that halts at a stop of theirs for longer than the episode."""
+    stops, demand = tmp_path / "stops.add.xml", tmp_path / "bus.rou.xml"
+    stops.write_text('<additional><busStop id="s" lane="highway_0" startPos="900" endPos="930"/></additional>')
+    demand.write_text(
+        '<routes><vehicle id="bus" depart="0" departLane="0" departPos="850"><route edges="highway"/>'
+        '<stop busStop="s" duration="500"/></vehicle></routes>'
+    )
+    traffic = {"routes": (str(demand),), "additional": (str(stops),)}
+    make(world(traffic=traffic)).reset(seed=UNSEEN)
+    assert libsumo.vehicle.isAtBusStop("bus")
+    assert libsumo.vehicle.getLanePosition("bus") == pytest.approx(930.0, abs=0.2)
+    with pytest.raises(InputError, match="busStop 's' is not known"):
+        make(world(traffic=traffic | {"additional": ()})).reset(seed=UNSEEN)
 
 
 def test_the_host_drives_along_the_edges_wanted_and_no_farther(make):

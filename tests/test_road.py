@@ -317,31 +317,3 @@ def test_moving_a_line_sideways_mirrors_with_it_and_keeps_its_distance(legs, lef
 
 def test_a_line_that_stands_still_has_no_side():
     assert road.offset(np.array([[3.0, 4.0], [3.0, 4.0]]), 1.6).tolist() == [[3.0, 4.0]]
-
-
-def demand(tmp_path, content, name="own.rou.xml"):
-    path = tmp_path / name
-    path.write_text(content)
-    return str(path)
-
-
-@pytest.mark.parametrize("element", ["vehicle", "flow", "trip"])
-def test_demand_with_traffic_passes_though_it_lies_in_another_file_than_the_types(tmp_path, element):
-    types = demand(tmp_path, '<routes><vType id="car"/></routes>', "types.rou.xml")
-    traffic = demand(tmp_path, f'<routes><{element} id="0"/></routes>')
-    assert [str(path) for path in road.check_demand([types, traffic])] == [types, traffic]
-    with pytest.raises(InputError, match="has no <vehicle>, <flow> or <trip>"):
-        road.check_demand([types])
-
-
-def test_shipped_demand_passes_and_no_demand_is_no_mistake():
-    names = assets.network_names()
-    assert [path.name for path in road.check_demand(names)] == [f"{name}.rou.xml" for name in names]
-    assert road.check_demand([]) == ()
-
-
-def test_broken_or_missing_demand_is_refused(tmp_path):
-    with pytest.raises(InputError, match=r"^routes 'higway5' not found; did you mean 'highway5'\?"):
-        road.check_demand(["higway5"])
-    with pytest.raises(InputError, match="is not a complete XML file: no element found"):
-        road.check_demand([demand(tmp_path, '<routes><vehicle id="0"/>')])

@@ -2,6 +2,7 @@
 
 import math
 import sys
+from pathlib import Path
 from typing import Any
 
 import gymnasium
@@ -10,7 +11,7 @@ from gymnasium import spaces
 
 from rail_sumo.config import Config
 from rail_sumo.errors import InputError
-from rail_sumo.highway import road
+from rail_sumo.highway import demand, road
 from rail_sumo.highway.adas import Adas, HandsOff
 from rail_sumo.highway.lidar import Boxes, Lidar
 from rail_sumo.highway.observation import Layout
@@ -49,7 +50,8 @@ class HighwayEnv(gymnasium.Env[Floats, np.int64]):
         self.config = config or Config()
         self._hands_off = hands_off
         self._road = road.load(self.config.network.file, self.config.network.course)
-        self._demand = road.check_demand(self.config.traffic.routes)
+        traffic = self.config.traffic
+        self._demand, self._additional = demand.check(traffic.routes, traffic.additional)
         lidar = self.config.lidar
         self._lidar = Lidar(lidar.n_rays, lidar.max_range_m, self._road.boundaries if lidar.road_edges else None)
         self._layout = Layout(lidar, self.config.observation)
@@ -94,6 +96,7 @@ class HighwayEnv(gymnasium.Env[Floats, np.int64]):
         simulation = self._simulation = Simulation(
             self._road,
             routes=self._demand,
+            additional=self._additional,
             begin_s=traffic.begin_s if self._demand else 0.0,
             adas=adas,
             seed=self._seed,
@@ -227,6 +230,17 @@ class HighwayEnv(gymnasium.Env[Floats, np.int64]):
         return self._end is not None
 
     @property
+    def demand(self) -> tuple[Path, ...]:
+        """The files of the user's own demand; none for the moving window."""
+        return self._demand
+
+    @property
+    def is_alone(self) -> bool:
+        """Whether nobody else on the road drives along the host's course, now or later on its way."""
+        simulation = self._under_way()
+        return not any(map(simulation.heads_for_course, simulation.on_road() - {HOST}))
+
+    @property
     def is_changing_lane(self) -> bool:
         """Whether a lane change is under way."""
         return self._adas.changing_lane
@@ -272,19 +286,30 @@ class HighwayEnv(gymnasium.Env[Floats, np.int64]):
 
 
 def check(world: Config) -> tuple[road.Road, list[str]]:
-    """Return the course of a world and what may go wrong on it.
+    """Return the course of a world and what may go wrong on it; of a demand, at the first moment of an episode.
 
     Raises:
         InputError: it cannot be driven.
     """
-    course, drivable_m = road.load(world.network.file, world.network.course), HighwayEnv(world).drivable_m
+    course, env = road.load(world.network.file, world.network.course), HighwayEnv(world)
+    drivable_m = env.drivable_m
     warnings = []
     if drivable_m < world.episode.course_m:
         warnings.append(
             f"the road ends {drivable_m:.0f} m after the host's start, and so will episodes of "
             f"{world.episode.course_m:.0f} m; set episode.course_m to {math.floor(drivable_m)} or less"
         )
-    return course, [*warnings, *road.warnings(course)]
+    warnings += [*road.warnings(course), *demand.warnings(env.demand)]
+    if env.demand:
+        env.reset(seed=0)
+        alone = env.is_alone
+        env.close()
+        if alone:
+            warnings.append(
+                "when the host enters, nobody of the demand drives along its course; set network.course to where they "
+                "drive, or traffic.begin_s to when"
+            )
+    return course, warnings
 
 
 gymnasium.register("RailSumo/Highway-v0", entry_point="rail_sumo.highway.env:HighwayEnv")

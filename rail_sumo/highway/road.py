@@ -1,16 +1,12 @@
 """What a network says: the course the host drives, its lanes and its borders. Read with sumolib, without libsumo."""
 
-import gzip
 import itertools
 import math
-import xml.etree.ElementTree as ElementTree
 import xml.sax
-import zlib
 from bisect import bisect_right
 from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
 from functools import cached_property, lru_cache
-from io import BufferedIOBase
 from pathlib import Path
 from statistics import fmean
 from typing import Any
@@ -22,6 +18,7 @@ from rail_sumo import assets
 from rail_sumo.errors import InputError
 from rail_sumo.highway import course
 from rail_sumo.highway.course import CAR, car_lanes, connections
+from rail_sumo.highway.sumo_xml import UNREADABLE, opened, state_of
 from rail_sumo.records import Floats
 
 NARROWEST_LANE_M = 2.4
@@ -35,8 +32,6 @@ LEFT, RIGHT = "changeLeft", "changeRight"
 
 SAME_POINT_M = 0.05
 """Points of a border closer than this are one; netconvert rounds to 0.01 m."""
-
-_UNREADABLE = (xml.sax.SAXParseException, ElementTree.ParseError, zlib.error, EOFError, OSError)
 
 
 @dataclass(frozen=True, slots=True)
@@ -134,7 +129,7 @@ def load(file: str, wanted: tuple[str, ...] = ()) -> Road:
         InputError: no such file, not a SUMO network, a truncated one, or one without such a course.
     """
     path = assets.network(file)
-    return _load(path, wanted, _state(path))
+    return _load(path, wanted, state_of(path))
 
 
 def warnings(road: Road) -> Iterator[str]:
@@ -157,26 +152,6 @@ def warnings(road: Road) -> Iterator[str]:
             )
 
 
-def check_demand(files: Iterable[str]) -> tuple[Path, ...]:
-    """Return the files of a demand, each a shipped example's name or a path, after reading them.
-
-    Raises:
-        InputError: no such file, not XML, or no vehicle, flow or trip in any of them.
-    """
-    paths = tuple(assets.routes(file) for file in files)
-    found = frozenset().union(*(_elements(path, _state(path)) for path in paths))
-    if paths and not found & {"vehicle", "flow", "trip"}:
-        names = "', '".join(map(str, paths))
-        raise InputError(f"demand '{names}' has no <vehicle>, <flow> or <trip>; rail-sumo needs traffic to drive in")
-    return paths
-
-
-def _state(path: Path) -> tuple[int, int]:
-    """What changes when somebody edits a file; what was read of it is kept until then."""
-    found = path.stat()
-    return found.st_mtime_ns, found.st_size
-
-
 @lru_cache(maxsize=32)
 def _load(path: Path, wanted: tuple[str, ...], state: tuple[int, int]) -> Road:
     net = _read(path)
@@ -193,10 +168,6 @@ def _load(path: Path, wanted: tuple[str, ...], state: tuple[int, int]) -> Road:
         is_loop=is_loop,
         boundaries=boundaries,
     )
-
-
-def _open(path: Path) -> BufferedIOBase:
-    return gzip.open(path) if path.suffix == ".gz" else path.open("rb")
 
 
 class _Reader(sumolib.net.NetReader):
@@ -216,9 +187,9 @@ def _read(path: Path) -> Any:
     # Not sumolib.net.readNet: it picks another parser when lxml is installed and leaves files open after an error.
     reader = _Reader(withInternal=True, withFoes=False)
     try:
-        with _open(path) as stream:
+        with opened(path) as stream:
             xml.sax.parse(stream, reader)
-    except _UNREADABLE as error:
+    except UNREADABLE as error:
         raise InputError(f"network '{path.name}' is not a complete XML file: {_reason(error)}") from None
     except Exception as error:  # whatever sumolib stumbles over in a file that is XML but not a network
         raise InputError(f"network '{path.name}' is not a SUMO network: {error!r}") from None
@@ -234,19 +205,6 @@ def _reason(error: Exception) -> str:
     if isinstance(error, xml.sax.SAXParseException):
         return f"{error.getMessage()} in line {error.getLineNumber()}"
     return str(error)
-
-
-@lru_cache(maxsize=32)  # every episode asks
-def _elements(path: Path, state: tuple[int, int]) -> frozenset[str]:
-    names = set()
-    try:
-        with _open(path) as stream:
-            for _, element in ElementTree.iterparse(stream):
-                names.add(element.tag)
-                element.clear()
-    except _UNREADABLE as error:
-        raise InputError(f"demand '{path}' is not a complete XML file: {error}") from None
-    return frozenset(names)
 
 
 def _leads_on_m(edges: list[Any], joints: list[list[Any]], is_loop: bool) -> list[tuple[float, ...]]:

@@ -51,6 +51,7 @@ class Simulation:
     Args:
         road: the network and the host's course on it.
         routes: the user's demand files.
+        additional: the user's additional files: stops, signal programs and the like.
         begin_s: when to begin in the demand's time, in seconds.
         adas: limits of the host's own car-following (ACC and AEB).
         seed: SUMO's seed.
@@ -69,6 +70,7 @@ class Simulation:
         road: Road,
         *,
         routes: Sequence[Path] = (),
+        additional: Sequence[Path] = (),
         begin_s: float = 0.0,
         adas: config.Adas,
         seed: int,
@@ -95,7 +97,7 @@ class Simulation:
             [
                 *("--net-file", str(road.net_file)),
                 *(("--route-files", ",".join(map(str, routes))) if routes else ()),
-                *("--additional-files", str(TYPES), "--begin", str(begin_s)),
+                *("--additional-files", ",".join(map(str, (TYPES, *additional))), "--begin", str(begin_s)),
                 *("--step-length", str(SECONDS_PER_STEP), "--seed", str(seed % SEEDS)),
                 *("--collision.action", "warn", "--collision.mingap-factor", "0", "--time-to-teleport", "-1"),
                 *("--collision.check-junctions", "true"),
@@ -190,6 +192,11 @@ class Simulation:
         """Return whether a vehicle on the road drives along the host's course, or has just come from it."""
         route, at = libsumo.vehicle.getRoute(name), libsumo.vehicle.getRouteIndex(name)
         return route[at] in self._edges
+
+    def heads_for_course(self, name: str) -> bool:
+        """Return whether a vehicle's way leads along the host's course, from where it is on."""
+        route, at = libsumo.vehicle.getRoute(name), libsumo.vehicle.getRouteIndex(name)
+        return not self._edges.keys().isdisjoint(route[at:])
 
     def travelled_m(self, name: str) -> float:
         """Return a vehicle's odometer: metres driven since its insertion."""

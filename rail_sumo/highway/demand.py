@@ -1,0 +1,108 @@
+"""What a user's demand says, read before anybody drives in it."""
+
+import xml.etree.ElementTree as ElementTree
+from collections.abc import Iterable, Iterator
+from dataclasses import dataclass
+from functools import lru_cache
+from pathlib import Path
+
+from rail_sumo import assets
+from rail_sumo.errors import InputError
+from rail_sumo.highway.sumo_xml import UNREADABLE, opened, state_of
+
+TRAFFIC = ("vehicle", "flow", "trip")
+"""Elements that put somebody on the road."""
+
+ADDITIONAL = frozenset({
+    "busStop", "trainStop", "containerStop", "chargingStation", "parkingArea", "rerouter", "variableSpeedSign",
+    "calibrator", "vaporizer", "tlLogic", "inductionLoop", "e1Detector", "laneAreaDetector", "e2Detector",
+    "entryExitDetector", "e3Detector", "routeProbe", "edgeData", "laneData", "poly", "poi",
+})  # fmt: skip
+"""Elements that SUMO passes over in route files, and reads from additional files."""
+
+OURS = "rail_sumo_"
+"""What the ids of our own vehicles, types and routes begin with."""
+
+
+@dataclass(frozen=True, slots=True)
+class _Content:
+    elements: frozenset[str]
+    taken: tuple[str, ...]
+    """Ids that are ours."""
+    out_of_order: tuple[str, ...]
+    """Ids of those that depart before one that stands before them."""
+
+
+def check(routes: Iterable[str], additional: Iterable[str] = ()) -> tuple[tuple[Path, ...], tuple[Path, ...]]:
+    """Return the files of a demand, and SUMO's additional files beside it, after reading them.
+
+    Args:
+        routes: a shipped example's name or a path each; none for the moving window of traffic.
+        additional: paths.
+
+    Raises:
+        InputError: no such file, not XML, one that has our ids, routes with elements that SUMO reads from additional
+            files only, or no vehicle, flow or trip in any of the routes.
+    """
+    demand, beside = tuple(map(assets.routes, routes)), tuple(map(assets.additional, additional))
+    for path in (*demand, *beside):
+        taken = _content(path, state_of(path)).taken
+        if taken:
+            raise InputError(
+                f"'{path}' has the id '{taken[0]}'; ids that begin with {OURS} are rail-sumo's own: rename it"
+            )
+    for path in demand:
+        misplaced = sorted(_content(path, state_of(path)).elements & ADDITIONAL)
+        if misplaced:
+            raise InputError(
+                f"demand '{path}' has <{misplaced[0]}>, which SUMO reads from additional files only; give its file by "
+                f"--set 'traffic.additional=[\"{path.name}\"]'"
+            )
+    if demand and not any(_content(path, state_of(path)).elements.intersection(TRAFFIC) for path in demand):
+        names = "', '".join(map(str, demand))
+        raise InputError(f"demand '{names}' has no <vehicle>, <flow> or <trip>; rail-sumo needs traffic to drive in")
+    return demand, beside
+
+
+def warnings(demand: Iterable[Path]) -> Iterator[str]:
+    """Tell what SUMO would not do as it is written, and says nothing about."""
+    for path in demand:
+        late = _content(path, state_of(path)).out_of_order
+        if late:
+            more = f" and {len(late) - 1} more" if len(late) > 1 else ""
+            yield (
+                f"demand '{path}' is not in order of departure: '{late[0]}'{more} may enter late or never; sort it, by "
+                f"SUMO's tools/route/sort_routes.py for example"
+            )
+
+
+@lru_cache(maxsize=32)  # every episode asks
+def _content(path: Path, state: tuple[int, int]) -> _Content:
+    elements, taken, out_of_order, latest_s = set(), [], [], 0.0
+    try:
+        with opened(path) as stream:
+            for _, element in ElementTree.iterparse(stream):
+                elements.add(element.tag)
+                name = element.get("id", "")
+                if name.startswith(OURS):
+                    taken.append(name)
+                if element.tag in TRAFFIC:
+                    departs_s = _seconds(element.get("depart") or element.get("begin"))
+                    if departs_s < latest_s:
+                        out_of_order.append(name)
+                    latest_s = max(latest_s, departs_s)
+                element.clear()
+    except UNREADABLE as error:
+        raise InputError(f"'{path}' is not a complete XML file: {error}") from None
+    return _Content(frozenset(elements), tuple(taken), tuple(out_of_order))
+
+
+def _seconds(time: str | None) -> float:
+    # A time as SUMO reads it, "90", "1:30" or "0:01:30"; 0 for what is none, such as "triggered".
+    seconds = 0.0
+    try:
+        for part in (time or "").split(":"):
+            seconds = 60 * seconds + float(part)
+    except ValueError:
+        return 0.0
+    return seconds
