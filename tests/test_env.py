@@ -479,6 +479,19 @@ def test_the_check_tells_of_a_demand_that_never_comes_along_the_course(two_roads
     assert told.startswith("when the host enters, nobody of the demand drives along its course; set network.course")
 
 
+def test_the_check_tells_of_limits_that_the_host_does_not_know(make, tmp_path):
+    path = tmp_path / "town.net.xml"
+    path.write_text(assets.network("highway3").read_text().replace('speed="36.11"', 'speed="13.89"'))
+    slow = {"network": {"file": str(path)}, "episode": {"course_m": 7222.0}}
+    assert env_module.check(world(**slow, adas={"max_speed_kmh": 50.0, "start_speed_kmh": 50.0}))[1] == []
+    assert env_module.check(world(**slow))[1] == [
+        "the host does not know the road's speed limits, such as 50 km/h on edge 'highway'; it drives at up to "
+        "adas.max_speed_kmh = 80"
+    ]
+    driven = drive(make(world(**slow, traffic=EMPTY)), always(ACCELERATE))
+    assert driven.speed_mps[-1] * KMH == pytest.approx(80.0)
+
+
 def test_the_check_tries_the_demand(tmp_path):
     lost = tmp_path / "lost.rou.xml"
     lost.write_text('<routes><vehicle id="v" depart="0"><route edges="nowhere"/></vehicle></routes>')

@@ -299,6 +299,12 @@ def check(world: Config) -> tuple[road.Road, list[str]]:
             f"the road ends {drivable_m:.0f} m after the host's start, and so will episodes of "
             f"{world.episode.course_m:.0f} m; set episode.course_m to {math.floor(drivable_m)} or less"
         )
+    slowest = min(course.edges, key=lambda edge: edge.limit_mps)
+    if slowest.limit_mps * KMH < world.adas.max_speed_kmh:
+        warnings.append(
+            f"the host does not know the road's speed limits, such as {slowest.limit_mps * KMH:.0f} km/h on edge "
+            f"'{slowest.id}'; it drives at up to adas.max_speed_kmh = {world.adas.max_speed_kmh:g}"
+        )
     warnings += [*road.warnings(course), *demand.warnings(env.demand)]
     if env.demand:
         env.reset(seed=0)

@@ -40,6 +40,8 @@ class Edge:
 
     id: str
     length_m: float
+    limit_mps: float
+    """The highest speed that is allowed on any of its lanes."""
     lane_widths_m: tuple[float, ...]
     to_left_m: tuple[float, ...]
     """For each lane: from its centre to that of the lane to its left; 0 where there is none or a line forbids it."""
@@ -228,6 +230,7 @@ def _edge(edge: Any, leads_on_m: tuple[float, ...]) -> Edge:
     return Edge(
         id=edge.getID(),
         length_m=edge.getLength(),
+        limit_mps=max(lane.getSpeed() for lane in lanes),
         lane_widths_m=widths,
         to_left_m=(*(m * _may_cross(lane, LEFT) for m, (lane, _) in zip(apart, pairs, strict=True)), 0.0),
         to_right_m=(0.0, *(m * _may_cross(lane, RIGHT) for m, (_, lane) in zip(apart, pairs, strict=True))),
