@@ -1,5 +1,6 @@
 """The records that cross the borders between modules, and the column names of every table."""
 
+import math
 from dataclasses import dataclass
 from enum import IntEnum
 from typing import Literal
@@ -60,6 +61,10 @@ class HostState:
     to_right_m: float
     leads_on_m: tuple[float, ...]
     """For each lane, from the rightmost: how far beyond the edge's end it leads on along the course; inf to its end."""
+    limit_mps: float = math.inf
+    """The speed limit here; inf where it does not bind."""
+    limits_ahead: tuple[tuple[float, float], ...] = ()
+    """Metres beyond the edge's end, and the speed limit from there on; those that do not bind left out."""
 
     def ends_in_m(self, lane: int) -> float:
         """Return how far ahead of the host a lane stops leading on along the course."""

@@ -198,6 +198,38 @@ def test_what_the_layer_says_of_a_change_under_way(road):
     assert (road.adas.changing_lane, road.adas.side, road.adas.lateral_m) == (False, None, 0.0)
 
 
+# Speed limits.
+
+
+def test_below_a_limit_that_binds_the_host_goes_no_faster(adas):
+    assert adas.command(at(speed_mps=10.0, limit_mps=12.0), free, steps=10).speed_mps == 12.0
+    assert adas.command(at(speed_mps=20.0, limit_mps=12.0), free, steps=10).speed_mps == pytest.approx(19.8)  # 2 m/s²
+
+
+def test_it_brakes_comfortably_to_be_as_slow_as_a_limit_ahead_where_it_begins(adas):
+    """From 60 km/h, its set speed, to 10 m/s: (16.67^2 - 10^2) / (2 * 2) = 44.4 m."""
+    here = {"speed_mps": 60 / KMH, "limits_ahead": ((0.0, 25.0), (30.0, 10.0))}
+    one_step_m = 6 / KMH
+    braking_m = ((60 / KMH) ** 2 - 100.0) / 4.0
+    assert adas.command(at(to_edge_end_m=braking_m - 29.9 + one_step_m, **here), free, steps=1).speed_mps == 60 / KMH
+    near = adas.command(at(to_edge_end_m=braking_m - 30.1 + one_step_m, **here), free, steps=1).speed_mps
+    assert 60 / KMH - 0.2 < near < 60 / KMH
+    # Not soon, but within the ten steps of a decision: it looks again after one.
+    assert adas.command(at(to_edge_end_m=braking_m + 300.0, **here), free, steps=10).steps == 10
+    assert adas.command(at(to_edge_end_m=braking_m - 30.0 + 16.0, **here), free, steps=10).steps == 1
+    # Too late for it: no harder than comfortable.
+    late = adas.command(at(to_edge_end_m=0.0, **here), free, steps=10)
+    assert (late.speed_mps, late.steps) == (pytest.approx(60 / KMH - 0.2), 1)
+
+
+def test_sumos_own_driver_decides_its_speed_but_for_limits():
+    adas = HandsOff(config.Adas())
+    assert adas.command(at(speed_mps=20.0), free, steps=10).speed_mps == SUMO_DECIDES
+    assert adas.command(at(speed_mps=20.0, limits_ahead=((0.0, 10.0),)), free, steps=10).speed_mps == SUMO_DECIDES
+    slow = at(speed_mps=20.0, to_edge_end_m=60.0, limits_ahead=((0.0, 10.0),))
+    assert adas.command(slow, free, steps=10).speed_mps == pytest.approx(19.8)
+
+
 # Refusals and the gate.
 
 
@@ -550,7 +582,7 @@ def test_what_the_mask_allows_is_never_refused_and_a_forbidden_start_always_is(t
 
 
 def test_hands_off_leaves_the_speed_to_sumo_and_counts_its_lane_changes():
-    adas = HandsOff()
+    adas = HandsOff(config.Adas())
     under_way = []
     for lane in (2, 2, 3, 3, 1, 1):
         adas.decide(LEFT, at(lane=lane), free)
@@ -562,7 +594,7 @@ def test_hands_off_leaves_the_speed_to_sumo_and_counts_its_lane_changes():
 
 
 def test_hands_off_does_not_take_new_lane_numbers_beyond_a_junction_for_lane_changes():
-    adas = HandsOff()
+    adas = HandsOff(config.Adas())
     junction = HostState(
         20.0, 0, 0, 0, to_edge_end_m=0.0, lane_width_m=0.0, to_left_m=0.0, to_right_m=0.0, leads_on_m=(math.inf,)
     )

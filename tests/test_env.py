@@ -479,19 +479,6 @@ def test_the_check_tells_of_a_demand_that_never_comes_along_the_course(two_roads
     assert told.startswith("when the host enters, nobody of the demand drives along its course; set network.course")
 
 
-def test_the_check_tells_of_limits_that_the_host_does_not_know(make, tmp_path):
-    path = tmp_path / "town.net.xml"
-    path.write_text(assets.network("highway3").read_text().replace('speed="36.11"', 'speed="13.89"'))
-    slow = {"network": {"file": str(path)}, "episode": {"course_m": 7222.0}}
-    assert env_module.check(world(**slow, adas={"max_speed_kmh": 50.0, "start_speed_kmh": 50.0}))[1] == []
-    assert env_module.check(world(**slow))[1] == [
-        "the host does not know the road's speed limits, such as 50 km/h on edge 'highway'; it drives at up to "
-        "adas.max_speed_kmh = 80"
-    ]
-    driven = drive(make(world(**slow, traffic=EMPTY)), always(ACCELERATE))
-    assert driven.speed_mps[-1] * KMH == pytest.approx(80.0)
-
-
 def test_the_check_tries_the_demand(tmp_path):
     lost = tmp_path / "lost.rou.xml"
     lost.write_text('<routes><vehicle id="v" depart="0"><route edges="nowhere"/></vehicle></routes>')
@@ -664,6 +651,46 @@ def merge(tmp_path):
     path = tmp_path / "merge.net.xml"
     path.write_text(MERGE)
     return {"file": str(path)}
+
+
+@pytest.fixture
+def town(tmp_path):
+    """The same, but 50 km/h are allowed on the second kilometre, and 30 in the junction before it."""
+    path = tmp_path / "town.net.xml"
+    narrow = re.sub(r'(<lane id="narrow.*?speed=)"36.11"', r'\1"13.89"', MERGE)
+    path.write_text(re.sub(r'(<lane id=":b.*?speed=)"36.11"', r'\1"8.33"', narrow))
+    return {"file": str(path)}
+
+
+@pytest.mark.parametrize("who", ["accelerating", "random", "sumo"])
+@pytest.mark.parametrize("traffic", [EMPTY, {"vehicles": 10}])
+def test_speed_limits_are_kept_and_braked_for_comfortably(make, watched, town, who, traffic):
+    for seed in range(4):
+        env = make(world(network=town, traffic=traffic, episode={"duration_s": 300.0}), hands_off=who == "sumo")
+        driven = drive(env, at_random(seed) if who == "random" else always(ACCELERATE), UNSEEN + seed)
+        fronts = np.array([scene.x_m[0] + 0.5 * scene.length_m[0] for scene in watched().scenes])
+        speeds_kmh = driven.speed_mps[1:] * KMH
+        assert (speeds_kmh <= np.select([fronts < 996.0, fronts < 1004.0], [80.0, 30.0], 50.0) + 0.1).all()
+        if traffic == EMPTY:
+            assert np.diff(driven.speed_mps).min() >= -0.2 - 1e-6  # 2 m/s², in every step of 0.1 s
+            # Not sooner than it must: from 80 to 30 km/h in (22.2^2 - 8.3^2) / 4 = 106 m, and up to 50 again at once.
+            if who != "random":
+                assert speeds_kmh[fronts < 885.0].max() == pytest.approx(80.0)
+                assert speeds_kmh[fronts < 885.0][-1] > 79.0
+                assert speeds_kmh[fronts > 1060.0].min() == pytest.approx(50.0, abs=0.1)
+
+
+@pytest.mark.parametrize("traffic", [{"vehicles": 10, "speed_low_kmh": 60.0}])
+def test_the_windows_vehicles_keep_to_speed_limits_too(make, watched, town, traffic):
+    drive(make(world(network=town, traffic=traffic, episode={"duration_s": 300.0})), always(ACCELERATE), UNSEEN)
+    in_town = [
+        speed
+        for scene in watched().scenes
+        for x, length, speed in zip(scene.x_m[1:], scene.length_m[1:], scene.speed_mps[1:], strict=True)
+        if x - length > 1004.0
+    ]
+    assert len(in_town) > 100
+    assert max(in_town) <= 13.89 + 0.01
 
 
 @pytest.mark.parametrize("traffic", [EMPTY, {"vehicles": 10}])

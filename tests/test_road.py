@@ -171,6 +171,23 @@ def test_a_line_that_cars_may_not_cross_parts_the_lanes(network, tmp_path):
     ]
 
 
+def test_limits_ahead_are_those_of_the_edges_that_follow_as_far_as_one_can_see(network):
+    def limited(*kmh_by_edge, x=(0.0, 200.0)):
+        return [
+            edge(name, x=x).replace('speed="30"', f'speed="{v}"') for name, v in zip("abcd", kmh_by_edge, strict=True)
+        ]
+
+    ways = [leads_on(*way, [0, 1]) for way in ("ab", "bc", "cd")]
+    chain = road.load(network(*limited(30, 20, 10, 5), *ways))
+    assert [edge.limit_mps for edge in chain.edges] == [30.0, 20.0, 10.0, 5.0]
+    assert chain.edges[0].limits_ahead == ((0.0, 20.0), (200.0, 10.0), (400.0, 5.0))
+    assert chain.edges[3].limits_ahead == ()
+    loop = road.load(network(*limited(30, 20, 10, 5), *ways, leads_on("d", "a", [0, 1])))
+    assert loop.edges[3].limits_ahead == ((0.0, 30.0), (200.0, 20.0), (400.0, 10.0))
+    far = road.load(network(*limited(30, 20, 10, 5, x=(0.0, 600.0)), *ways))
+    assert far.edges[0].limits_ahead == ((0.0, 20.0),)
+
+
 def test_lanes_of_different_widths_are_half_of_either_apart(network):
     file = Path(network(edge("a", lanes=3, width=3.0)))
     right, left = file.read_text().split('id="a_1"')

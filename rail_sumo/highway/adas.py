@@ -5,6 +5,7 @@ Adaptive cruise control and emergency braking are the car-following model the ho
 here is the set speed and its comfortable ramp, and the lane change: its gap gate, its lateral path, its reversal.
 """
 
+import math
 from collections.abc import Callable
 from typing import Literal
 
@@ -98,10 +99,12 @@ class Adas:
 
     def command(self, host: HostState, gaps: Callable[[int], Gaps], *, steps: int) -> Command:
         """Return what to do next, for at most `steps` steps: as many as need no fresh look."""
-        speed = max(self._set_speed, host.speed_mps - self._config.comfort_braking_mps2 * SECONDS_PER_STEP)
+        speed = max(self._set_speed, _comfortable(host, self._config))
+        limited = _within_limits(speed, host, self._config, steps=1)
         if self._side is not None:
-            return self._sideways(self._side, speed, host, gaps)
-        return Command(speed, steps=steps if speed == self._set_speed else 1)
+            return self._sideways(self._side, limited, host, gaps)
+        stays = speed == self._set_speed == _within_limits(speed, host, self._config, steps=steps)
+        return Command(limited, steps=steps if stays else 1)
 
     def _clip(self, speed_mps: float) -> float:
         return min(max(speed_mps, self._config.min_speed_kmh / KMH), self._config.max_speed_kmh / KMH)
@@ -186,6 +189,28 @@ class Adas:
         return 0
 
 
+def _comfortable(host: HostState, config: config.Adas) -> float:
+    """Return the lowest speed after the next step that comfortable braking comes down to."""
+    return host.speed_mps - config.comfort_braking_mps2 * SECONDS_PER_STEP
+
+
+def _within_limits(speed_mps: float, host: HostState, config: config.Adas, *, steps: int) -> float:
+    """Return a speed, lowered as far as it must so that in so many steps the host keeps to every limit.
+
+    A limit ahead allows sqrt(v^2 + 2 b s) at the distance s before it. Where it is too late for that, the host brakes
+    comfortably all the same.
+    """
+    to_end = host.to_edge_end_m - max(host.speed_mps, speed_mps) * steps * SECONDS_PER_STEP
+    lowest = min(
+        (
+            math.sqrt(limit**2 + 2 * config.comfort_braking_mps2 * max(to_end + beyond_m, 0.0))
+            for beyond_m, limit in host.limits_ahead
+        ),
+        default=math.inf,
+    )
+    return min(speed_mps, max(min(lowest, host.limit_mps), _comfortable(host, config)))
+
+
 def _across(host: HostState, side: Side) -> float:
     """Return the lateral distance from the centre of the host's lane to that of the next, in metres."""
     return host.to_left_m if side == LEFT else host.to_right_m
@@ -210,7 +235,7 @@ def _stopping_gap(speed_mps: float, leader_mps: float, braking_mps2: float) -> f
 
 
 class HandsOff:
-    """Stands in for `Adas` when SUMO's own driver drives: gives no orders, only counts SUMO's lane changes.
+    """Stands in for `Adas` when SUMO's own driver drives: keeps to speed limits, else only counts SUMO's lane changes.
 
     SUMO changes lanes within one step, so each counts one step as under way.
     """
@@ -219,7 +244,8 @@ class HandsOff:
     aborted_lane_changes = 0
     refused_decisions = 0
 
-    def __init__(self) -> None:
+    def __init__(self, config: config.Adas) -> None:
+        self._config = config
         self.changing_lane = False
         self.lane_changes = 0
         self._last: HostState | None = None
@@ -238,4 +264,6 @@ class HandsOff:
         same_edge = last is not None and 0.0 < host.to_edge_end_m <= last.to_edge_end_m  # 0 on a junction
         self.changing_lane = last is not None and same_edge and host.lane != last.lane
         self.lane_changes += self.changing_lane
-        return Command(SUMO_DECIDES)
+        fastest = self._config.max_speed_kmh / KMH
+        limited = _within_limits(fastest, host, self._config, steps=1)
+        return Command(limited if limited < fastest else SUMO_DECIDES)

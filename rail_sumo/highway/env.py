@@ -76,7 +76,7 @@ class HighwayEnv(gymnasium.Env[Floats, np.int64]):
         super().reset(seed=seed)
         self.close()
         self._seed = int(self.np_random.integers(2**31)) if seed is None else seed
-        self._adas = HandsOff() if self._hands_off else Adas(self.config.adas)
+        self._adas = HandsOff(self.config.adas) if self._hands_off else Adas(self.config.adas)
         self._passes = PassCounter()
         self._layout.reset()
         self._overtakes = self._overtaken = 0
@@ -298,12 +298,6 @@ def check(world: Config) -> tuple[road.Road, list[str]]:
         warnings.append(
             f"the road ends {drivable_m:.0f} m after the host's start, and so will episodes of "
             f"{world.episode.course_m:.0f} m; set episode.course_m to {math.floor(drivable_m)} or less"
-        )
-    slowest = min(course.edges, key=lambda edge: edge.limit_mps)
-    if slowest.limit_mps * KMH < world.adas.max_speed_kmh:
-        warnings.append(
-            f"the host does not know the road's speed limits, such as {slowest.limit_mps * KMH:.0f} km/h on edge "
-            f"'{slowest.id}'; it drives at up to adas.max_speed_kmh = {world.adas.max_speed_kmh:g}"
         )
     warnings += [*road.warnings(course), *demand.warnings(env.demand)]
     if env.demand:

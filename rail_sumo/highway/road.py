@@ -30,6 +30,9 @@ SHORT_EDGE_M = 42.0
 LEFT, RIGHT = "changeLeft", "changeRight"
 """The attributes of a lane that list who may change from it."""
 
+FORESIGHT_M = 500.0
+"""How far ahead a speed limit is known: from 160 km/h to nothing it takes 494 m at 2 m/s²."""
+
 SAME_POINT_M = 0.05
 """Points of a border closer than this are one; netconvert rounds to 0.01 m."""
 
@@ -42,6 +45,8 @@ class Edge:
     length_m: float
     limit_mps: float
     """The highest speed that is allowed on any of its lanes."""
+    limits_ahead: tuple[tuple[float, float], ...]
+    """Metres beyond its end, and the limit from there on, through junctions and over edges, as far as `FORESIGHT_M`."""
     lane_widths_m: tuple[float, ...]
     to_left_m: tuple[float, ...]
     """For each lane: from its centre to that of the lane to its left; 0 where there is none or a line forbids it."""
@@ -165,7 +170,7 @@ def _load(path: Path, wanted: tuple[str, ...], state: tuple[int, int]) -> Road:
     return Road(
         net_file=path,
         name=path.name.removesuffix(".gz").removesuffix(assets.NETWORK_SUFFIX),
-        edges=tuple(map(_edge, edges, _leads_on_m(edges, joints, is_loop))),
+        edges=tuple(map(_edge, edges, _leads_on_m(edges, joints, is_loop), _limits_ahead(net, edges, joints))),
         junctions_m=tuple(_through_m(net, joint) for joint in joints),
         is_loop=is_loop,
         boundaries=boundaries,
@@ -222,7 +227,27 @@ def _leads_on_m(edges: list[Any], joints: list[list[Any]], is_loop: bool) -> lis
     return [tuple(lanes.values()) for lanes in leads_on]
 
 
-def _edge(edge: Any, leads_on_m: tuple[float, ...]) -> Edge:
+def _limits_ahead(net: Any, edges: list[Any], joints: list[list[Any]]) -> Iterator[tuple[tuple[float, float], ...]]:
+    # Behind a chain's last edge, which has no joint, there is nothing.
+    for k in range(len(edges)):
+        limits, beyond_m = [], 0.0
+        while joints[k] and beyond_m < FORESIGHT_M:
+            ways = [list(_inside(net, connection)) for connection in joints[k]]
+            inside = [lane.getSpeed() for way in ways for lane in way]
+            if inside:
+                limits.append((beyond_m, min(inside)))
+            beyond_m += _through_m(net, joints[k])
+            k = (k + 1) % len(edges)
+            limits.append((beyond_m, _limit_mps(edges[k])))
+            beyond_m += edges[k].getLength()
+        yield tuple(limits)
+
+
+def _limit_mps(edge: Any) -> float:
+    return max(lane.getSpeed() for lane in car_lanes(edge))
+
+
+def _edge(edge: Any, leads_on_m: tuple[float, ...], limits_ahead: tuple[tuple[float, float], ...]) -> Edge:
     lanes = car_lanes(edge)
     widths = tuple(lane.getWidth() for lane in lanes)
     pairs = list(itertools.pairwise(lanes))
@@ -230,7 +255,8 @@ def _edge(edge: Any, leads_on_m: tuple[float, ...]) -> Edge:
     return Edge(
         id=edge.getID(),
         length_m=edge.getLength(),
-        limit_mps=max(lane.getSpeed() for lane in lanes),
+        limit_mps=_limit_mps(edge),
+        limits_ahead=limits_ahead,
         lane_widths_m=widths,
         to_left_m=(*(m * _may_cross(lane, LEFT) for m, (lane, _) in zip(apart, pairs, strict=True)), 0.0),
         to_right_m=(0.0, *(m * _may_cross(lane, RIGHT) for m, (_, lane) in zip(apart, pairs, strict=True))),

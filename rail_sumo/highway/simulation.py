@@ -30,7 +30,7 @@ COMMANDED_ONLY = 256
 """Lane-change mode of the host: no change of its own accord; the ADAS layer is the gate, SUMO only avoids overlap."""
 
 UNLIMITED = 10.0
-"""Speed factor of those whom the road's speed limits do not bind."""
+"""Speed factor of whom SUMO does not hold to the road's speed limits."""
 
 SUMO_CHANGES_LANES = 1621
 """SUMO's default lane-change mode."""
@@ -87,6 +87,10 @@ class Simulation:
         self._sizes: dict[str, tuple[float, float]] = {}
         self._routes: dict[tuple[str, ...], str] = {}
         self._edges = {edge.id: edge for edge in road.edges}
+        self._limits_ahead = {
+            edge.id: tuple((m, limit) for m, limit in edge.limits_ahead if math.isfinite(self._binding(limit)))
+            for edge in road.edges
+        }
         self.speeds_mps: list[float] = []
         self._lateral_m = 0.0
         self._held: dict[str, int] = {}  # who may not change lanes now, with the lane-change mode to give back
@@ -149,14 +153,14 @@ class Simulation:
         SUMO leaves it out where it would not be safe; look for it in the next scene.
         """
         self._add(name, TRAFFIC_TYPE, edges, lane, front_m, "desired")
-        libsumo.vehicle.setSpeedFactor(name, UNLIMITED)
+        libsumo.vehicle.setSpeedFactor(name, 1.0)
         libsumo.vehicle.setMaxSpeed(name, desired_speed_mps)
         libsumo.vehicle.setLaneChangeMode(name, LEAVE_ENDING_LANES)
 
     def add_host(self, edges: Sequence[str], *, lane: int, front_m: float, speed_mps: float) -> None:
         """Insert the host; it stands in the first scene after the next step unless there is no room for it."""
         self._add(HOST, HOST_TYPE, edges, lane, front_m, f"{speed_mps:.3f}")
-        libsumo.vehicle.setSpeedFactor(HOST, UNLIMITED)  # the supervisor's limits hold
+        libsumo.vehicle.setSpeedFactor(HOST, UNLIMITED)  # its layer keeps to the limits, and brakes for them in time
         libsumo.vehicle.setLaneChangeMode(HOST, COMMANDED_ONLY)
         libsumo.vehicle.setSpeed(HOST, speed_mps)
 
@@ -263,7 +267,8 @@ class Simulation:
         edge = self._edges.get(vehicle.getRoadID(HOST))
         speed, lane = vehicle.getSpeed(HOST), vehicle.getLaneIndex(HOST)
         if edge is None or lane not in (lanes := edge.lanes):  # on a junction, or strayed
-            return HostState(speed, lane, lane, lane, 0.0, 0.0, 0.0, 0.0, (math.inf,))
+            limit = self._binding(libsumo.lane.getMaxSpeed(vehicle.getLaneID(HOST)))
+            return HostState(speed, lane, lane, lane, 0.0, 0.0, 0.0, 0.0, (math.inf,), limit)
         here = lane - edge.first_lane
         return HostState(
             speed_mps=speed,
@@ -275,7 +280,12 @@ class Simulation:
             to_left_m=edge.to_left_m[here],
             to_right_m=edge.to_right_m[here],
             leads_on_m=edge.leads_on_m,
+            limit_mps=self._binding(edge.limit_mps),
+            limits_ahead=self._limits_ahead[edge.id],
         )
+
+    def _binding(self, limit_mps: float) -> float:
+        return limit_mps if limit_mps * KMH < self._adas.max_speed_kmh else math.inf
 
     def gaps(self, side: int) -> Gaps:
         """Return the gaps in the host's own lane (0) or the one to its left (+1) or right (-1)."""
