@@ -185,7 +185,10 @@ POLICY_KEYS = "policy.layers, policy.hidden"
             "[traffic]\nvehicles = -1\nahead_m = 0",
             "traffic.vehicles: Input should be greater than or equal to 0, got -1 (and 1 more)",
         ),
-        ("[traffic]\nroutes = 'a.rou.xml'", "traffic.routes: Input should be a valid array, got 'a.rou.xml'"),
+        (
+            "[traffic]\nroutes = 'a.rou.xml'",
+            'traffic.routes: Input should be a list, written ["...", "..."], got \'a.rou.xml\'',
+        ),
         ("[traffic]\nroutes = [3]", "traffic.routes.0: Input should be a valid string, got 3"),
         (
             "[traffic]\nspeed_low_kmh = 80\nspeed_high_kmh = 70",
@@ -248,7 +251,10 @@ def test_a_malformed_override_is_refused(override):
         ),
         ("lidar.road_edges=False", "lidar.road_edges: Input should be a valid boolean, got 'False'"),
         ("traffic.vehicles=", "traffic.vehicles: Input should be a valid integer, got ''"),
-        ("traffic.routes=a.rou.xml", "traffic.routes: Input should be a valid array, got 'a.rou.xml'"),
+        (
+            "traffic.routes=a.rou.xml",
+            'traffic.routes: Input should be a list, written ["...", "..."], got \'a.rou.xml\'',
+        ),
     ],
 )
 def test_a_bad_override_is_refused_as_it_would_be_in_a_file(override, message):

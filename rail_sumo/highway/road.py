@@ -229,8 +229,8 @@ def _leads_on_m(edges: list[Any], joints: list[list[Any]], is_loop: bool) -> lis
 
 def _limits_ahead(net: Any, edges: list[Any], joints: list[list[Any]]) -> Iterator[tuple[tuple[float, float], ...]]:
     # Behind a chain's last edge, which has no joint, there is nothing.
-    for k in range(len(edges)):
-        limits, beyond_m = [], 0.0
+    for first in range(len(edges)):
+        k, limits, beyond_m = first, [], 0.0
         while joints[k] and beyond_m < FORESIGHT_M:
             ways = [list(_inside(net, connection)) for connection in joints[k]]
             inside = [lane.getSpeed() for way in ways for lane in way]
