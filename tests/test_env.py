@@ -486,6 +486,14 @@ def test_the_check_tries_the_demand(tmp_path):
         env_module.check(world(traffic={"routes": (str(lost),)}))
 
 
+def test_a_check_that_fails_leaves_no_simulation_open(tmp_path):
+    late = tmp_path / "late.rou.xml"
+    late.write_text('<routes><vehicle id="v" depart="500"><route edges="highway"/></vehicle></routes>')
+    for _ in range(2):
+        with pytest.raises(InputError, match="nobody is on the road at 60 s"):
+            env_module.check(world(traffic={"routes": (str(late),)}))
+
+
 def test_additional_files_are_loaded(make, tmp_path):
     """A bus that halts at a stop of theirs for longer than the episode."""
     stops, demand = tmp_path / "stops.add.xml", tmp_path / "bus.rou.xml"

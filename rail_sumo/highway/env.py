@@ -300,16 +300,20 @@ def check(world: Config) -> tuple[road.Road, list[str]]:
             f"{world.episode.course_m:.0f} m; set episode.course_m to {math.floor(drivable_m)} or less"
         )
     warnings += [*road.warnings(course), *demand.warnings(env.demand)]
-    if env.demand:
-        env.reset(seed=0)
-        alone = env.is_alone
-        env.close()
-        if alone:
-            warnings.append(
-                "when the host enters, nobody of the demand drives along its course; set network.course to where they "
-                "drive, or traffic.begin_s to when"
-            )
+    if env.demand and _is_alone(env):
+        warnings.append(
+            "when the host enters, nobody of the demand drives along its course; set network.course to where they "
+            "drive, or traffic.begin_s to when"
+        )
     return course, warnings
+
+
+def _is_alone(env: HighwayEnv) -> bool:
+    try:
+        env.reset(seed=0)
+        return env.is_alone
+    finally:
+        env.close()
 
 
 gymnasium.register("RailSumo/Highway-v0", entry_point="rail_sumo.highway.env:HighwayEnv")
