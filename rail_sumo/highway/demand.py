@@ -45,20 +45,20 @@ def check(routes: Iterable[str], additional: Iterable[str] = ()) -> tuple[tuple[
             files only, or no vehicle, flow or trip in any of the routes.
     """
     demand, beside = tuple(map(assets.routes, routes)), tuple(map(assets.additional, additional))
-    for path in (*demand, *beside):
-        taken = _content(path, state_of(path)).taken
-        if taken:
+    contents = {path: _content(path, state_of(path)) for path in (*demand, *beside)}
+    for path, content in contents.items():
+        if content.taken:
             raise InputError(
-                f"'{path}' has the id '{taken[0]}'; ids that begin with {OURS} are rail-sumo's own: rename it"
+                f"'{path}' has the id '{content.taken[0]}'; ids that begin with {OURS} are rail-sumo's own: rename it"
             )
     for path in demand:
-        misplaced = sorted(_content(path, state_of(path)).elements & ADDITIONAL)
+        misplaced = sorted(contents[path].elements & ADDITIONAL)
         if misplaced:
             raise InputError(
                 f"demand '{path}' has <{misplaced[0]}>, which SUMO reads from additional files only; give its file by "
                 f"--set 'traffic.additional=[\"{path.name}\"]'"
             )
-    if demand and not any(_content(path, state_of(path)).elements.intersection(TRAFFIC) for path in demand):
+    if demand and not any(contents[path].elements.intersection(TRAFFIC) for path in demand):
         names = "', '".join(map(str, demand))
         raise InputError(f"demand '{names}' has no <vehicle>, <flow> or <trip>; rail-sumo needs traffic to drive in")
     return demand, beside

@@ -4,7 +4,7 @@ import itertools
 import math
 import xml.sax
 from bisect import bisect_right
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass
 from functools import cached_property, lru_cache
 from pathlib import Path
@@ -165,13 +165,16 @@ def _load(path: Path, wanted: tuple[str, ...], state: tuple[int, int]) -> Road:
     edges, is_loop = course.along(net, path.name, wanted) if wanted else course.longest(net, path.name)
     joints = [connections(here, ahead) for here, ahead in itertools.pairwise(edges)]
     joints.append(connections(edges[-1], edges[0]) if is_loop else [])
+    junctions_m = tuple(_through_m(net, joint) for joint in joints)
     boundaries = np.concatenate([_border(net, edges, joints, is_loop, side) for side in ("right", "left")])
     boundaries.setflags(write=False)
     return Road(
         net_file=path,
         name=path.name.removesuffix(".gz").removesuffix(assets.NETWORK_SUFFIX),
-        edges=tuple(map(_edge, edges, _leads_on_m(edges, joints, is_loop), _limits_ahead(net, edges, joints))),
-        junctions_m=tuple(_through_m(net, joint) for joint in joints),
+        edges=tuple(
+            map(_edge, edges, _leads_on_m(edges, joints, is_loop), _limits_ahead(net, edges, joints, junctions_m))
+        ),
+        junctions_m=junctions_m,
         is_loop=is_loop,
         boundaries=boundaries,
     )
@@ -227,16 +230,17 @@ def _leads_on_m(edges: list[Any], joints: list[list[Any]], is_loop: bool) -> lis
     return [tuple(lanes.values()) for lanes in leads_on]
 
 
-def _limits_ahead(net: Any, edges: list[Any], joints: list[list[Any]]) -> Iterator[tuple[tuple[float, float], ...]]:
+def _limits_ahead(
+    net: Any, edges: list[Any], joints: list[list[Any]], junctions_m: Sequence[float]
+) -> Iterator[tuple[tuple[float, float], ...]]:
     # Behind a chain's last edge, which has no joint, there is nothing.
     for first in range(len(edges)):
         k, limits, beyond_m = first, [], 0.0
         while joints[k] and beyond_m < FORESIGHT_M:
-            ways = [list(_inside(net, connection)) for connection in joints[k]]
-            inside = [lane.getSpeed() for way in ways for lane in way]
+            inside = [lane.getSpeed() for connection in joints[k] for lane in _inside(net, connection)]
             if inside:
                 limits.append((beyond_m, min(inside)))
-            beyond_m += _through_m(net, joints[k])
+            beyond_m += junctions_m[k]
             k = (k + 1) % len(edges)
             limits.append((beyond_m, _limit_mps(edges[k])))
             beyond_m += edges[k].getLength()

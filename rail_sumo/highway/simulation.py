@@ -12,13 +12,14 @@ import numpy as np
 
 from rail_sumo import config
 from rail_sumo.errors import InputError
+from rail_sumo.highway.demand import OURS
 from rail_sumo.highway.road import Road
 from rail_sumo.records import KMH, SECONDS_PER_STEP, Command, Gaps, HostState, Scene
 
-# Ids that no demand of a user's has.
-HOST = HOST_TYPE = "rail_sumo_host"
-TRAFFIC_TYPE = "rail_sumo_traffic"
-ROUTE = "rail_sumo_route"
+# Ids that no demand of a user's has; the types' are those of `TYPES`.
+HOST = HOST_TYPE = f"{OURS}host"
+TRAFFIC_TYPE = f"{OURS}traffic"
+ROUTE = f"{OURS}route"
 TYPES = Path(__file__).with_name("types.add.xml")
 """Both types as SUMO has them by default, whatever a user's demand says of its default."""
 
@@ -194,13 +195,11 @@ class Simulation:
 
     def is_on_course(self, name: str) -> bool:
         """Return whether a vehicle on the road drives along the host's course, or has just come from it."""
-        route, at = libsumo.vehicle.getRoute(name), libsumo.vehicle.getRouteIndex(name)
-        return route[at] in self._edges
+        return _way_of(name)[0] in self._edges
 
     def heads_for_course(self, name: str) -> bool:
         """Return whether a vehicle's way leads along the host's course, from where it is on."""
-        route, at = libsumo.vehicle.getRoute(name), libsumo.vehicle.getRouteIndex(name)
-        return not self._edges.keys().isdisjoint(route[at:])
+        return not self._edges.keys().isdisjoint(_way_of(name))
 
     def travelled_m(self, name: str) -> float:
         """Return a vehicle's odometer: metres driven since its insertion."""
@@ -369,6 +368,11 @@ class Simulation:
             self.collisions += collision.collider == HOST
             self.struck += collision.victim == HOST
         return self.contact
+
+
+def _way_of(name: str) -> Sequence[str]:
+    """Return the edges of a vehicle's route from the one on that it is on, or was on before the junction."""
+    return libsumo.vehicle.getRoute(name)[libsumo.vehicle.getRouteIndex(name) :]
 
 
 def _start(arguments: list[str]) -> None:
