@@ -172,9 +172,12 @@ def test_check_tells_the_edges_and_where_the_road_ends_too_soon(rail_sumo):
     assert rail_sumo("network", "check", "highway5")[1] == "highway5: road of 8,200 m with 5 lanes\nedges: highway\n"
     longer = ("--set", "episode.course_m=8000")
     assert rail_sumo("network", "check", "highway5", *longer)[1].splitlines()[2] == (
-        "warning: the road ends 7928 m after the host's start, and so will episodes of 8000 m; "
+        "warning: the road ends 7928 m after the host's start, and so will episodes of up to 8000 m; "
         "set episode.course_m to 7927 or less"
     )
+    timed = ("--set", "episode.course_m=inf", "--set")
+    assert "warning" not in rail_sumo("network", "check", "highway5", *timed, "episode.duration_s=300")[1]
+    assert "episodes of up to 8000 m;" in rail_sumo("network", "check", "highway5", *timed, "episode.duration_s=360")[1]
     demanding = ("--set", "traffic.behind_m=2000", "--set", "episode.course_m=7000")
     assert "warning" in rail_sumo("network", "check", "highway5", *demanding)[1]
     assert "warning" not in rail_sumo("network", "check", "highway5", "--routes", "highway5", *demanding)[1]

@@ -1,6 +1,7 @@
 import math
 import sys
 
+import numpy as np
 import pytest
 from sketch import edge, leads_on
 
@@ -68,6 +69,25 @@ def test_a_roundabout_at_the_end_does_not_take_the_highways_place(network):
     short = {"x": (0.0, 20.0)}
     file = network(edge("a"), edge("b", **short), edge("c", **short), leads_on("a", "b", [0, 1]), roundabout)
     assert course(file) == ["a", "b", "c"]
+
+
+@pytest.mark.parametrize("seed", range(12))
+def test_no_way_straight_on_is_longer_wherever_it_begins(network, seed):
+    rng = np.random.default_rng(seed)
+    names = "abcdefg"
+    length = dict(zip(names, rng.integers(1, 5, len(names)) * 100.0, strict=True))
+    ahead = dict(zip(names, rng.choice([*names, ""], len(names)), strict=True))
+    ways = []  # a loop twice as long as it is, and what leads into one only to where it closes
+    for first in names:
+        way, at = [], first
+        while at and at not in way:
+            way.append(at)
+            at = ahead[at]
+        ways.append((-sum(map(length.get, way)) * (2 if at == first else 1), way, at == first))
+    _, way, is_loop = min(ways)
+    joints = [leads_on(here, there, [0, 1]) for here, there in ahead.items() if there]
+    file = network(*(edge(name, x=(0.0, length[name])) for name in names), *joints)
+    assert (course(file), road.load(file).is_loop) == (way, is_loop)
 
 
 def test_turning_back_is_no_way_to_lengthen_the_course(network):

@@ -701,6 +701,35 @@ def test_the_windows_vehicles_keep_to_speed_limits_too(make, watched, town, traf
     assert max(in_town) <= 13.89 + 0.01
 
 
+@pytest.mark.parametrize("start_lane", [0, 1, 2])
+def test_a_lanes_own_limit_holds_on_that_lane_alone(make, tmp_path, start_lane):
+    path = tmp_path / "slow.net.xml"
+    path.write_text(MERGE.replace('id="wide_0" index="0" speed="36.11"', 'id="wide_0" index="0" speed="13.89"'))
+    env = make(world(network={"file": str(path)}, traffic=EMPTY, episode={"duration_s": 30.0}))
+    env.reset(seed=1)
+    libsumo.vehicle.moveTo(HOST, f"wide_{start_lane}", 10.0)
+    for _ in range(25):
+        env.drive(ACCELERATE)
+    assert env.trajectory().speed_mps[-1] * KMH == pytest.approx(80.0 if start_lane else 50.0, abs=0.1)
+
+
+def test_a_variable_speed_sign_holds_from_its_moment_on_and_is_braked_for_comfortably(make, tmp_path):
+    path, sign = tmp_path / "open.net.xml", tmp_path / "sign.add.xml"
+    path.write_text(MERGE)
+    steps = '<step time="0" speed="36.11"/><step time="20" speed="13.89"/>'
+    sign.write_text(
+        f'<additional><variableSpeedSign id="vss" lanes="wide_0 wide_1 wide_2">{steps}</variableSpeedSign></additional>'
+    )
+    traffic = EMPTY | {"additional": [str(sign)]}
+    driven = drive(
+        make(world(network={"file": str(path)}, traffic=traffic, episode={"duration_s": 40.0})), always(ACCELERATE), 1
+    )
+    speeds_kmh = driven.speed_mps * KMH
+    assert speeds_kmh.max() == pytest.approx(80.0)
+    assert speeds_kmh[-1] == pytest.approx(50.0, abs=0.1)
+    assert np.diff(driven.speed_mps).min() >= -0.2 - 1e-6
+
+
 @pytest.mark.parametrize("traffic", [EMPTY, {"vehicles": 10}])
 def test_the_host_gets_on_from_a_lane_that_ends_and_over_a_junction(make, watched, merge, traffic):
     started = []

@@ -97,9 +97,7 @@ def longest(net: Any, name: str) -> tuple[list[Any], bool]:
         raise InputError(
             f"network '{name}' has no drivable edge with two or more lanes; rail-sumo needs a place to change lanes"
         )
-    following = {edge: _next(edge, drivable) for edge in drivable}
-    chains = itertools.chain.from_iterable(_chains(edge, following) for edge in drivable)
-    return min(chains, key=_rank)
+    return min(_chains({edge: _next(edge, drivable) for edge in drivable}), key=_rank)
 
 
 def _next(edge: Any, drivable: set[Any]) -> Any | None:
@@ -112,18 +110,25 @@ def _next(edge: Any, drivable: set[Any]) -> Any | None:
     return min(choices)[-1] if choices else None
 
 
-def _chains(first: Any, following: dict[Any, Any | None]) -> Iterator[tuple[list[Any], bool]]:
-    # The chain from an edge on; and where it runs into a loop, the loop alone.
-    places: dict[Any, int] = {}
-    edge: Any | None = first
-    while edge is not None and edge not in places:
-        places[edge] = len(places)
-        edge = following[edge]
-    chain = list(places)
-    if edge is not first:
-        yield chain, False
-    if edge is not None:
-        yield chain[places[edge] :], True
+def _chains(following: dict[Any, Any | None]) -> Iterator[tuple[list[Any], bool]]:
+    # Those that are part of no other: they begin where none leads to, or go round a loop, from its first id on.
+    seen: set[Any] = set()
+    for first in (*following.keys() - following.values(), *following):
+        if first in seen:
+            continue
+        places: dict[Any, int] = {}
+        edge: Any | None = first
+        while edge is not None and edge not in places:
+            places[edge] = len(places)
+            edge = following[edge]
+        chain = list(places)
+        seen.update(chain)
+        if edge is not first:
+            yield chain, False
+        if edge is not None:
+            loop = chain[places[edge] :]
+            start = loop.index(min(loop, key=lambda one: one.getID()))
+            yield loop[start:] + loop[:start], True
 
 
 def _rank(candidate: tuple[list[Any], bool]) -> tuple[float, list[str]]:

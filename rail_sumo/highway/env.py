@@ -293,11 +293,12 @@ def check(world: Config) -> tuple[road.Road, list[str]]:
     """
     course, env = road.load(world.network.file, world.network.course), HighwayEnv(world)
     drivable_m = env.drivable_m
+    farthest_m = min(world.episode.course_m, world.episode.duration_s * world.adas.max_speed_kmh / KMH)
     warnings = []
-    if drivable_m < world.episode.course_m:
+    if drivable_m < farthest_m:
         warnings.append(
-            f"the road ends {drivable_m:.0f} m after the host's start, and so will episodes of "
-            f"{world.episode.course_m:.0f} m; set episode.course_m to {math.floor(drivable_m)} or less"
+            f"the road ends {drivable_m:.0f} m after the host's start, and so will episodes of up to "
+            f"{farthest_m:.0f} m; set episode.course_m to {math.floor(drivable_m)} or less"
         )
     warnings += [*road.warnings(course), *demand.warnings(env.demand)]
     if env.demand and _is_alone(env):

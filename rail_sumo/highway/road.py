@@ -43,10 +43,9 @@ class Edge:
 
     id: str
     length_m: float
-    limit_mps: float
-    """The highest speed that is allowed on any of its lanes."""
     limits_ahead: tuple[tuple[float, float], ...]
-    """Metres beyond its end, and the limit from there on, through junctions and over edges, as far as `FORESIGHT_M`."""
+    """Metres beyond its end, and the limit from there on, through junctions and over edges, as far as `FORESIGHT_M`; of
+    an edge whose lanes differ the highest."""
     lane_widths_m: tuple[float, ...]
     to_left_m: tuple[float, ...]
     """For each lane: from its centre to that of the lane to its left; 0 where there is none or a line forbids it."""
@@ -242,13 +241,9 @@ def _limits_ahead(
                 limits.append((beyond_m, min(inside)))
             beyond_m += junctions_m[k]
             k = (k + 1) % len(edges)
-            limits.append((beyond_m, _limit_mps(edges[k])))
+            limits.append((beyond_m, max(lane.getSpeed() for lane in car_lanes(edges[k]))))
             beyond_m += edges[k].getLength()
         yield tuple(limits)
-
-
-def _limit_mps(edge: Any) -> float:
-    return max(lane.getSpeed() for lane in car_lanes(edge))
 
 
 def _edge(edge: Any, leads_on_m: tuple[float, ...], limits_ahead: tuple[tuple[float, float], ...]) -> Edge:
@@ -259,7 +254,6 @@ def _edge(edge: Any, leads_on_m: tuple[float, ...], limits_ahead: tuple[tuple[fl
     return Edge(
         id=edge.getID(),
         length_m=edge.getLength(),
-        limit_mps=_limit_mps(edge),
         limits_ahead=limits_ahead,
         lane_widths_m=widths,
         to_left_m=(*(m * _may_cross(lane, LEFT) for m, (lane, _) in zip(apart, pairs, strict=True)), 0.0),

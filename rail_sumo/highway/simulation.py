@@ -265,8 +265,8 @@ class Simulation:
         vehicle = libsumo.vehicle
         edge = self._edges.get(vehicle.getRoadID(HOST))
         speed, lane = vehicle.getSpeed(HOST), vehicle.getLaneIndex(HOST)
+        limit = self._binding(libsumo.lane.getMaxSpeed(vehicle.getLaneID(HOST)))  # the lane's own, and as it is now
         if edge is None or lane not in (lanes := edge.lanes):  # on a junction, or strayed
-            limit = self._binding(libsumo.lane.getMaxSpeed(vehicle.getLaneID(HOST)))
             return HostState(speed, lane, lane, lane, 0.0, 0.0, 0.0, 0.0, (math.inf,), limit)
         here = lane - edge.first_lane
         return HostState(
@@ -279,7 +279,7 @@ class Simulation:
             to_left_m=edge.to_left_m[here],
             to_right_m=edge.to_right_m[here],
             leads_on_m=edge.leads_on_m,
-            limit_mps=self._binding(edge.limit_mps),
+            limit_mps=limit,
             limits_ahead=self._limits_ahead[edge.id],
         )
 
