@@ -77,7 +77,7 @@ class Moment:
 
 def moments(driver: str, config: Config, seed: int) -> list[Moment]:
     """Drive an episode and return its decisions."""
-    env, n_rays = HighwayEnv(config), config.lidar.n_rays
+    env, n_rays = HighwayEnv(config, hands_off=driver == "sumo"), config.lidar.n_rays
     supervisor, found = drivers.by_name(driver, config, seed), []
     observation, _ = env.reset(seed=seed)
     while not env.is_over:

@@ -29,7 +29,7 @@ QUICK = {"rail": 40, "rewarded": 40, "gail": 40, "bc": 0, "dagger": 5}
 """Who learns, and the iterations of an experiment that is to show its shape within minutes: a quarter."""
 
 REWARD_WEIGHT = 1.0
-"""Of the environment's reward beside the judge's, for RAIL that is paid both: no longer imitation alone."""
+"""Of the environment's reward beside the judge's, for RAIL that is paid both; `rail.reward_weight` tells another."""
 
 MADE_OF = b"rail_sumo"
 """The key of a cell's metadata that tells its configuration and the SHA-256 of the files it read."""
@@ -140,9 +140,11 @@ class _Work:
     @property
     def is_finished(self) -> bool:
         """Whether its result is there, of this configuration and these files; a key it lacks had its default."""
-        if not self._file.is_file():
+        try:
+            metadata = pq.read_schema(self._file).metadata or {}
+        except (OSError, pa.ArrowException):  # not there, or damaged
             return False
-        made_of = json.loads((pq.read_schema(self._file).metadata or {}).get(MADE_OF, b"{}"))
+        made_of = json.loads(metadata.get(MADE_OF, b"{}"))
         if "config" not in made_of or made_of["inputs"] != self._inputs:
             return False
         return validate(tomllib.loads(made_of["config"])) == self.config
@@ -188,7 +190,7 @@ def _world(cell: Cell, config: Config, quick: bool) -> Config:
         "trajectories": cell.trajectories,
         "iterations": "default" if cell.learner == "bc" else iterations,
     }
-    weight = REWARD_WEIGHT if cell.learner == "rewarded" else config.rail.reward_weight
+    weight = (config.rail.reward_weight or REWARD_WEIGHT) if cell.learner == "rewarded" else 0.0
     return config.model_copy(
         update={
             "policy": config.policy.model_copy(update={"layers": cell.layers}),

@@ -1,7 +1,7 @@
 """The paper's experiments: Table 1 and Figures 3 and 4, from many trainings in place of one."""
 
 import itertools
-from collections.abc import Iterable
+from collections.abc import Callable, Iterable
 from typing import Any
 
 import numpy as np
@@ -28,7 +28,8 @@ ROWS = {
     ("rail", 1): "RAIL, one layer",
     ("rewarded", 2): "RAIL and the reward, two layers",
     ("expert", 0): "expert",
-    ("bc", 2): "behaviour cloning",
+    ("bc", 2): "behaviour cloning, two layers",
+    ("bc", 1): "behaviour cloning, one layer",
     ("gail", 2): "GAIL",
     ("dagger", 2): "DAgger",
     ("rule", 0): "rule driver",
@@ -90,7 +91,8 @@ def compare(cells: pd.DataFrame) -> pd.DataFrame:
     `low` and `high` are the 95 % interval of the interquartile mean over seeds and episodes (of collisions and struck:
     Wilson's, of how often they happen), `ratio` is that mean over the expert's, `difference` the mean of learner minus
     expert, episode by episode on the same traffic, `above_expert` the probability that an episode of the learner has a
-    greater value than one of the expert.
+    greater value than one of the expert. Ratios and differences of contacts have no interval: a bootstrap of what never
+    happened would be sure that it never will.
     """
     expert = cells[cells["learner"] == report.EXPERT]
     rows: list[dict[str, Any]] = []
@@ -98,8 +100,8 @@ def compare(cells: pd.DataFrame) -> pd.DataFrame:
         for metric in (*METRICS, *report.CONTACTS):
             scores, reference = _scores(driven, metric), _scores(expert, metric)
             low, high = report.metric_interval(metric, scores)
-            ratio, ratio_low, ratio_high = _against(scores, reference)
-            difference_low, difference_high = interval(mean_difference, scores, reference)
+            ratio, ratio_low, ratio_high = _against(metric, ratio_of_iqms, scores, reference)
+            difference, difference_low, difference_high = _against(metric, mean_difference, scores, reference)
             paper, paper_expert = _paper(learner, layers, metric), _paper(report.EXPERT, 0, metric)
             rows.append({
                 "learner": learner,
@@ -112,7 +114,7 @@ def compare(cells: pd.DataFrame) -> pd.DataFrame:
                 "ratio": ratio,
                 "ratio_low": ratio_low,
                 "ratio_high": ratio_high,
-                "difference": mean_difference(scores, reference),
+                "difference": difference,
                 "difference_low": difference_low,
                 "difference_high": difference_high,
                 "above_expert": probability_of_improvement(scores, reference),
@@ -141,7 +143,8 @@ def figures(experiment: Experiment) -> pd.DataFrame:
         reference = _scores(expert, metric)
         curves = {
             ROWS[system]: np.array([
-                _against(_scores(_of(cells, *system, n), metric), reference) for n in TRAJECTORIES
+                _against(metric, ratio_of_iqms, _scores(_of(cells, *system, n), metric), reference)
+                for n in TRAJECTORIES
             ])
             for system in FIGURES
         }  # fmt: skip
@@ -167,9 +170,12 @@ def _paper(learner: str, layers: int, metric: str) -> float:
     return dict(zip(METRICS, PAPER.get((learner, layers), ()), strict=False)).get(metric, np.nan)
 
 
-def _against(scores: Floats, reference: Floats) -> tuple[float, float, float]:
-    """Return the ratio of interquartile means to the expert's, and its 95 % interval."""
-    return float(ratio_of_iqms(scores, reference)), *interval(ratio_of_iqms, scores, reference)
+def _against(
+    metric: str, compared: Callable[..., Floats], scores: Floats, reference: Floats
+) -> tuple[float, float, float]:
+    """Return how scores compare with the expert's, and the 95 % interval; NaN of contacts."""
+    sure = (np.nan, np.nan) if metric in report.CONTACTS else interval(compared, scores, reference)
+    return float(compared(scores, reference)), *sure
 
 
 _LABELS = {

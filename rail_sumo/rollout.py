@@ -160,15 +160,15 @@ def workers(number: WorkerCount) -> Iterator[Workers]:
             executor.submit(int)  # each starts one
     try:
         yield executor
-    except KeyboardInterrupt:
-        for process in set(multiprocessing.active_children()) - strangers:  # a task may take minutes
-            process.terminate()
-        raise
     except BrokenProcessPool:
         raise InputError(
             "a worker process died: memory ran out, or SUMO crashed on this network or demand; "
             "--workers 1 drives in one process and tells which"
         ) from None
+    except BaseException:
+        for process in set(multiprocessing.active_children()) - strangers:  # another task may take minutes yet
+            process.terminate()
+        raise
     finally:
         executor.shutdown(cancel_futures=True)
 

@@ -1,9 +1,12 @@
 import itertools
+import random
 import re
+from contextlib import contextmanager
 from itertools import product
 
 import numpy as np
 import pytest
+import torch
 from hypothesis import settings
 
 settings.register_profile("patient", deadline=None)  # a busy machine is no failure
@@ -41,6 +44,26 @@ def touching():
         ]
 
     return of
+
+
+@pytest.fixture
+def own_chance():
+    """A context in which nobody may touch the caller's global generators, or puts them back."""
+
+    def drawn():
+        return random.random(), np.random.random(), torch.rand(1).item()  # noqa: NPY002
+
+    @contextmanager
+    def left_alone():
+        before = random.getstate(), np.random.get_state(), torch.get_rng_state()  # noqa: NPY002
+        expected = drawn()
+        random.setstate(before[0])
+        np.random.set_state(before[1])  # noqa: NPY002
+        torch.set_rng_state(before[2])
+        yield
+        assert drawn() == expected
+
+    return left_alone
 
 
 @pytest.fixture

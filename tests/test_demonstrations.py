@@ -119,6 +119,20 @@ def test_what_was_sensed_or_decided_otherwise_is_refused(tmp_path, override, mes
         Demonstrations.load(path, features=FEATURES, demonstrating=config.load(None, [override]).demonstrating)
 
 
+@pytest.mark.parametrize(
+    "said",
+    [b"not json", b"[]", b'{"about": 3}', b'{"about": {"config": "x"}}', b'{"about": {"config": "lidar.m = 1"}}'],
+)
+def test_a_recording_whose_metadata_cannot_be_read_is_refused_in_one_line(tmp_path, said):
+    path = tmp_path / "theirs.parquet"
+    pq.write_table(pa.table(COLUMNS).replace_schema_metadata({METADATA_KEY: said}), path)
+    wanted = config.Config().demonstrating
+    with pytest.raises(InputError, match=r"tell of their recording what cannot be read \(.+\); record them") as raised:
+        Demonstrations.load(path, features=FEATURES, demonstrating=wanted)
+    assert str(raised.value).startswith(f"demonstrations '{path}'")
+    assert "\n" not in str(raised.value)
+
+
 def test_columns_are_found_by_name_not_by_place(tmp_path):
     path = tmp_path / "theirs.parquet"
     pq.write_table(pa.table(dict(reversed(COLUMNS.items()))), path)

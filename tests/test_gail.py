@@ -1,5 +1,4 @@
 import itertools
-import random
 
 import numpy as np
 import pytest
@@ -137,15 +136,7 @@ def test_a_rollout_of_one_decision_tells_nothing():
         learner.update([one, one], Indifferent().rewards, np.random.default_rng(0))
 
 
-def test_the_callers_own_chance_is_left_alone():
-    def drawn():
-        return random.random(), np.random.random(), torch.rand(1).item()  # noqa: NPY002
-
-    before = random.getstate(), np.random.get_state(), torch.get_rng_state()  # noqa: NPY002
-    expected = drawn()
-    random.setstate(before[0])
-    np.random.set_state(before[1])  # noqa: NPY002
-    torch.set_rng_state(before[2])
-    learner = ppo()
-    learner.update([episode(sights(1), np.zeros(N_DECISIONS))], Indifferent().rewards, np.random.default_rng(0))
-    assert drawn() == expected
+def test_the_callers_own_chance_is_left_alone(own_chance):
+    with own_chance():
+        learner = ppo()
+        learner.update([episode(sights(1), np.zeros(N_DECISIONS))], Indifferent().rewards, np.random.default_rng(0))

@@ -204,6 +204,36 @@ def test_contacts_are_in_the_table(world, done, tmp_path):
     assert rail.endswith("| 16 |")
 
 
+def test_contacts_that_never_happened_are_compared_without_an_interval(world, done, tmp_path, monkeypatch):
+    monkeypatch.setitem(ROW, "struck", 0)
+    table = table1(world, tmp_path, seeds=2)
+    struck = table[table["metric"] == "struck"].set_index(["learner", "layers"]).loc[("rail", 2)]
+    assert (struck["mean"], struck["difference"], struck["low"]) == (0.0, 0.0, 0.0)
+    assert struck["high"] > 0.3
+    assert struck[["ratio", "ratio_low", "ratio_high", "difference_low", "difference_high"]].isna().all()
+
+
+def test_a_damaged_cell_is_made_again(world, done, tmp_path):
+    whole = table1(world, tmp_path, seeds=1)
+    for damaged in (b"", b"PAR1 and no more"):
+        (tmp_path / "cells" / "rule-0-layer-0-seed0.parquet").write_bytes(damaged)
+        done.clear()
+        pd.testing.assert_frame_equal(table1(world, tmp_path, seeds=1), whole)
+        assert done == [("evaluate", "rule", 0)]
+
+
+@pytest.mark.parametrize(("given", "beside"), [(0.0, experiment.REWARD_WEIGHT), (3.0, 3.0)])
+def test_the_reward_is_paid_in_its_own_row_alone(done, tmp_path, given, beside):
+    paid = config.load(None, ["cloning.epochs=0", "train.iterations=5", f"rail.reward_weight={given}"])
+    table1(paid, tmp_path, seeds=1)
+    weights = {
+        path.name.partition("-seed")[0]: RunDirectory(path).config.rail.reward_weight
+        for path in (tmp_path / "runs").iterdir()
+    }
+    assert weights.pop("rewarded-2-layer-40") == beside
+    assert set(weights.values()) == {0.0}
+
+
 def test_a_cluster_is_refused_before_any_work(world, done, tmp_path):
     with pytest.raises(InputError, match="takes a number of --workers, not ray"):
         table1(world, tmp_path, seeds=1, workers="ray")
@@ -253,8 +283,8 @@ def test_table_and_figures_share_their_cells(world, done, tmp_path):
     assert len(learned) == 4 * 5 - 4
     assert "rail-2-layer-40-seed0" not in learned
     cells = pd.read_parquet(tmp_path / "cells.parquet")
-    # The figures' cells and what the table has beside them: dagger, rule, sumo, RAIL with the reward, the expert.
-    assert len(cells) == (4 * 5 + 5) * N_EPISODES
+    # The figures' and what the table has beside: DAgger, rule, sumo, RAIL with the reward, one layer's clone, expert.
+    assert len(cells) == (4 * 5 + 6) * N_EPISODES
     table1(world, tmp_path, seeds=1)
     pd.testing.assert_frame_equal(cells, pd.read_parquet(tmp_path / "cells.parquet"))
 

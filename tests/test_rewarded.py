@@ -75,3 +75,11 @@ def test_a_crash_does_not_pay():
     crashed = episode(seen[:2], [brake, brake], end_reason="collision")
     paid = Rewarded(judge(), 3.0, reward=braking, horizon_decisions=8).returns([whole, crashed])
     np.testing.assert_allclose(paid - judge().returns([whole, crashed]), [3.0 * 4 / 8, 3.0 * 2 / 8])
+
+
+def test_a_crash_does_not_pay_where_driving_on_costs_either():
+    seen = sights(0, 8)
+    brake = MetaAction.DECELERATE
+    whole, crashed = episode(seen, [brake] * 8), episode(seen[:1], [brake], end_reason="collision")
+    charged = Rewarded(judge(), 3.0, reward=lambda one: -braking(one), horizon_decisions=8).returns([whole, crashed])
+    np.testing.assert_allclose(charged - judge().returns([whole, crashed]), [-3.0, -3.0])

@@ -70,13 +70,26 @@ def count_with_two():
         return list(pool.map(abs, [-1, -2, -3]))
 
 
-def test_ctrl_c_ends_our_own_processes_and_no_others():
+def late(path):
+    time.sleep(3.0)
+    path.touch()
+
+
+def begin_and_raise(task, path, error):
+    with workers(2) as two:
+        two.map(task, [path])
+        raise error
+
+
+@pytest.mark.parametrize("error", [KeyboardInterrupt, OSError, InputError])
+def test_what_goes_wrong_ends_our_own_processes_at_once_and_no_others(tmp_path, error):
     stranger = multiprocessing.get_context("spawn").Process(target=time.sleep, args=(60,))
     stranger.start()
     try:
-        with pytest.raises(KeyboardInterrupt), workers(2):
-            raise KeyboardInterrupt
+        with pytest.raises(error):
+            begin_and_raise(late, tmp_path / "done", error)
         assert stranger.is_alive()
+        assert not (tmp_path / "done").exists()
         assert set(multiprocessing.active_children()) == {stranger}
     finally:
         stranger.terminate()

@@ -161,10 +161,15 @@ def _read(path: Path) -> pa.Table:
 
 
 def _check_recording(path: Path, table: pa.Table, demonstrating: Mapping[str, object] | None) -> None:
-    about = json.loads((table.schema.metadata or {}).get(METADATA_KEY, b"{}")).get("about", {})
-    if demonstrating is None or "config" not in about:
+    said = (table.schema.metadata or {}).get(METADATA_KEY)
+    if demonstrating is None or said is None:
         return  # somebody else's file
-    apart = difference(recorded(about["config"]).demonstrating, demonstrating)
+    try:
+        about = json.loads(said).get("about", {})
+        recording = recorded(about["config"]).demonstrating if "config" in about else {}
+    except (ValueError, AttributeError, TypeError) as error:
+        raise InputError(f"{_named(path)} tell of their recording what cannot be read ({error}); {_AGAIN}") from None
+    apart = difference(recording, demonstrating)
     if apart:
         raise InputError(f"{_named(path)} were recorded with {apart}; set it as it was, or {_AGAIN}")
 

@@ -60,19 +60,26 @@ def load_training_state(network: nn.Module, adam: torch.optim.Optimizer, state: 
 
 
 @contextmanager
-def seeded(rng: np.random.Generator) -> Iterator[None]:
-    """Let a library that draws from the global generators draw from this one, and put those back after."""
+def generators_put_back() -> Iterator[None]:
+    """Put the global generators back, whatever a library draws from them or seeds them with; also a decorator."""
     before = random.getstate(), np.random.get_state()  # noqa: NPY002  the library's, not ours
-    seed = int(rng.integers(2**32))
     try:
         with torch.random.fork_rng(devices=[]):
-            random.seed(seed)
-            np.random.seed(seed)  # noqa: NPY002
-            torch.manual_seed(seed)
             yield
     finally:
         random.setstate(before[0])
         np.random.set_state(before[1])  # noqa: NPY002
+
+
+@contextmanager
+def seeded(rng: np.random.Generator) -> Iterator[None]:
+    """Let a library that draws from the global generators draw from this one, and put those back after."""
+    seed = int(rng.integers(2**32))
+    with generators_put_back():
+        random.seed(seed)
+        np.random.seed(seed)  # noqa: NPY002
+        torch.manual_seed(seed)
+        yield
 
 
 @contextmanager

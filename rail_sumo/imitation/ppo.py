@@ -13,7 +13,7 @@ from stable_baselines3.common.callbacks import BaseCallback
 from rail_sumo.config import Config
 from rail_sumo.highway.env import HighwayEnv
 from rail_sumo.highway.observation import feature_names
-from rail_sumo.imitation.perceptron import single_threaded
+from rail_sumo.imitation.perceptron import generators_put_back, single_threaded
 from rail_sumo.records import Floats
 
 REWARD_SCALE = 0.1
@@ -69,6 +69,7 @@ def scale_of(config: Config, n_features: int) -> Floats:
 
 
 @single_threaded()
+@generators_put_back()
 def train(
     config: Config, seed: int, traffic_seeds: Iterator[int], observer: Callable[[int], None] = lambda _: None
 ) -> Layers:

@@ -35,11 +35,13 @@ class Rewarded:
     def returns(self, trajectories: Sequence[Trajectory]) -> Floats:
         """Return the judge's return of each rollout plus its weighted reward per decision, shape (n_trajectories,).
 
-        After a collision nothing more is earned up to the horizon: cutting a rollout short must not pay.
+        After a collision nothing more is gained up to the horizon, while a loss goes on as it was: cutting a rollout
+        short must not pay.
         """
-        earned = np.array([self._reward(trajectory) / self._decisions(trajectory) for trajectory in trajectories])
+        earned = np.array(list(map(self._per_decision, trajectories)))
         return self._judge.returns(trajectories) + self._weight * earned
 
-    def _decisions(self, trajectory: Trajectory) -> int:
-        decided = len(trajectory.actions)
-        return max(decided, self._horizon_decisions) if trajectory.end_reason == "collision" else decided
+    def _per_decision(self, trajectory: Trajectory) -> float:
+        earned, decided = self._reward(trajectory), len(trajectory.actions)
+        gains_no_more = trajectory.end_reason == "collision" and earned > 0.0
+        return earned / (max(decided, self._horizon_decisions) if gains_no_more else decided)
