@@ -245,9 +245,9 @@ def list_networks() -> None:
 
 def _overrides(network: str | None, routes: list[str] | None, overrides: list[str] | None) -> list[str]:
     """Return the options that choose a world as overrides of the configuration."""
-    # Strings in JSON are strings in TOML.
-    given = [f"network.file={json.dumps(network)}"] if network else []
-    given += [f"traffic.routes={json.dumps(routes)}"] if routes else []
+    # Strings in JSON are strings in TOML, but for escapes beyond 16 bits.
+    given = [f"network.file={json.dumps(network, ensure_ascii=False)}"] if network else []
+    given += [f"traffic.routes={json.dumps(routes, ensure_ascii=False)}"] if routes else []
     return [*given, *(overrides or ())]
 
 

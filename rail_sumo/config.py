@@ -64,15 +64,15 @@ class Traffic(_Section):
     routes: tuple[str, ...] = ()
     """The user's demand files (`.rou.xml`); empty for the moving window."""
     additional: tuple[str, ...] = ()
-    """SUMO's additional files: stops, signal programs, rerouters and the like. What they have SUMO write, every episode
-    writes anew."""
+    """SUMO's additional files: stops, signal programs, variable speed signs and the like. What they have SUMO write,
+    every episode writes anew; nothing in them may take the host off the road."""
     vehicles: Annotated[int, Field(ge=0, le=500)] = 16
     ahead_m: Annotated[float, Field(ge=50.0, le=2000.0)] = 250.0
     behind_m: Annotated[float, Field(ge=50.0, le=2000.0)] = 150.0
     speed_low_kmh: Positive = 56.0
     speed_high_kmh: Positive = 70.0
     lane_change_every_s: Limit = 30.0
-    """Mean time between one vehicle's tries to change lanes; inf for none."""
+    """Mean time between one vehicle's tries to change lanes; inf for none. Nobody tries more often than every 2 s."""
     begin_s: NonNegative = 0.0
     """When to begin in the user's own demand: 25200 for seven in the morning."""
     warm_up_s: NonNegative = 60.0
@@ -124,6 +124,11 @@ class Adas(_Section):
             raise ValueError(
                 f"start_speed_kmh {self.start_speed_kmh} must lie between min_speed_kmh {self.min_speed_kmh} "
                 f"and max_speed_kmh {self.max_speed_kmh}"
+            )
+        if self.comfort_braking_mps2 > self.emergency_braking_mps2:
+            raise ValueError(
+                f"comfort_braking_mps2 {self.comfort_braking_mps2} is above emergency_braking_mps2 "
+                f"{self.emergency_braking_mps2}"
             )
         return self
 

@@ -67,6 +67,12 @@ def sections(model):
             st.integers(1, 10**6),
         )
         drawn = st.builds(lambda fields, batches: fields | batches, drawn, whole)
+    if model is config.Adas:
+        drawn = drawn.map(
+            lambda fields: (
+                fields | {"comfort_braking_mps2": min(fields["comfort_braking_mps2"], fields["emergency_braking_mps2"])}
+            )
+        )
     if model is config.Train:  # cloning has no iterations
         drawn = drawn.map(lambda fields: fields | ({"iterations": "default"} if fields["learner"] == "bc" else {}))
     return drawn.map(lambda fields: model(**fields))
@@ -215,6 +221,10 @@ POLICY_KEYS = "policy.layers, policy.hidden"
         (
             "[adas]\nstart_speed_kmh = 90",
             "adas: start_speed_kmh 90.0 must lie between min_speed_kmh 40.0 and max_speed_kmh 80.0",
+        ),
+        (
+            "[adas]\nemergency_braking_mps2 = 1.5",
+            "adas: comfort_braking_mps2 2.0 is above emergency_braking_mps2 1.5",
         ),
         ("[adas]\nmin_speed_kmh = 80", "adas: min_speed_kmh 80.0 must be below max_speed_kmh 80.0"),
         (

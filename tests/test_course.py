@@ -136,7 +136,7 @@ def test_the_course_leads_over_the_edges_wanted_and_the_shortest_way_between(for
     assert not road.load(fork, tuple(wanted)).is_loop
 
 
-@pytest.mark.parametrize(("wanted", "edges"), [("ada", "abde"), ("dcd", "deac"), ("aca", "acde")])
+@pytest.mark.parametrize(("wanted", "edges"), [("ada", "abde"), ("dcd", "deac"), ("aca", "acde"), ("aa", "abde")])
 def test_with_the_first_edge_again_at_the_end_it_goes_round(fork, wanted, edges):
     assert course(fork, *wanted) == list(edges)
     assert road.load(fork, tuple(wanted)).is_loop

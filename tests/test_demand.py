@@ -63,6 +63,8 @@ def test_a_comma_in_a_path_is_refused(tmp_path):
         (["0", "100", "90", "95", "110"], "'v2' and 1 more"),
         (["0:00:50", "1:00", "70", "0:01:09"], "'v3'"),
         (["0", "triggered", "3"], None),
+        (["0", "100", "triggered", "110"], None),
+        (["0", "100", "triggered", "90"], "'v3'"),
     ],
 )
 def test_departures_out_of_order_are_told(tmp_path, departures, late):

@@ -701,6 +701,86 @@ def test_the_windows_vehicles_keep_to_speed_limits_too(make, watched, town, traf
     assert max(in_town) <= 13.89 + 0.01
 
 
+def test_within_a_junction_the_limit_beyond_it_is_kept_in_mind(make, watched, tmp_path):
+    path = tmp_path / "fast.net.xml"
+    narrow = re.sub(r'(<lane id="narrow.*?speed=)"36.11"', r'\1"13.89"', MERGE)
+    path.write_text(re.sub(r'(<lane id=":b.*?)length="8.00"', r'\1length="40.00"', narrow))  # and 130 km/h within
+    env = make(world(network={"file": str(path)}, traffic=EMPTY, episode={"duration_s": 60.0}))
+    driven = drive(env, always(ACCELERATE), 2)
+    fronts = np.array([scene.x_m[0] + 0.5 * scene.length_m[0] for scene in watched().scenes])
+    assert driven.speed_mps.max() * KMH == pytest.approx(80.0)
+    assert (driven.speed_mps[1:] * KMH)[fronts >= 1004.0].max() == pytest.approx(50.0, abs=0.1)
+
+
+def test_the_host_enters_no_faster_than_it_may(make, tmp_path):
+    path = tmp_path / "zone30.net.xml"
+    path.write_text(MERGE.replace("36.11", "8.33"))
+    driven = drive(make(world(network={"file": str(path)}, traffic=EMPTY, episode={"duration_s": 5.0})), always(KEEP))
+    assert driven.speed_mps == pytest.approx(np.full(51, 8.33))
+
+
+@pytest.fixture
+def soon_narrow(tmp_path):
+    """Three lanes, the right one of which ends 100 m ahead of the host's start."""
+    path = tmp_path / "soon.net.xml"
+    path.write_text(re.sub(r'(<lane id="wide.*?)length="996.00"', r'\1length="300.00"', MERGE))
+    return {"file": str(path)}
+
+
+def test_the_window_reaches_over_edges_with_other_lanes(make, soon_narrow):
+    for seed in range(6):
+        env = make(world(network=soon_narrow))
+        env.reset(seed=UNSEEN + seed)
+        assert len(libsumo.vehicle.getIDList()) > 10
+    env.close()
+    assert env_module.check(world(network=soon_narrow))[1][0].startswith("the road ends 1")
+
+
+def test_the_host_starts_on_a_lane_that_leads_on(make, soon_narrow):
+    lanes = set()
+    for seed in range(12):
+        make(world(network=soon_narrow, traffic=EMPTY)).reset(seed=seed)
+        lanes.add(libsumo.vehicle.getLaneID(HOST))
+    assert lanes == {"wide_1", "wide_2"}
+
+
+def test_who_drives_on_a_bridge_is_not_around_the_host(make, tmp_path):
+    path, demand = tmp_path / "bridge.net.xml", tmp_path / "bridge.rou.xml"
+    over = (
+        '<edge id="over" from="d" to="e" priority="-1"><lane id="over_0" index="0" speed="36.11" length="120.00" '
+        'shape="60,-60,6.00 60,60,6.00"/></edge>'
+        '<junction id="d" type="dead_end" x="60" y="-60" incLanes="" intLanes="" shape="60,-60"/>'
+        '<junction id="e" type="dead_end" x="60" y="60" incLanes="over_0" intLanes="" shape="60,60"/>'
+    )
+    path.write_text(MERGE.replace("<junction", over + "<junction", 1))
+    demand.write_text(
+        '<routes><vType id="slow" maxSpeed="0.1"/>'
+        '<vehicle id="above" type="slow" depart="0" departPos="55"><route edges="over"/></vehicle>'
+        '<vehicle id="beside" type="slow" depart="0" departPos="60" departLane="2"><route edges="wide"/></vehicle>'
+        "</routes>"
+    )
+    env = make(world(network={"file": str(path)}, traffic={"routes": [str(demand)], "warm_up_s": 1.0}))
+    env.reset(seed=0)
+    assert {"above", "beside"} <= set(libsumo.vehicle.getIDList())
+    assert env.scene.ids == [HOST, "beside"]
+
+
+@pytest.mark.parametrize(
+    "by",
+    [
+        '<vaporizer id="ring2" begin="0" end="9999"/>',
+        '<rerouter id="r" edges="ring1"><interval begin="0" end="999">'
+        '<destProbReroute id="ring2"/></interval></rerouter>',
+    ],
+)
+def test_a_host_that_is_taken_off_the_road_is_told_in_one_line(make, tmp_path, by):
+    path = tmp_path / "off.add.xml"
+    path.write_text(f"<additional>{by}</additional>")
+    ring = {"network": {"file": "ring5"}, "episode": {"duration_s": 400.0}}
+    with pytest.raises(InputError, match=r"^the host was taken off the road; keep rerouters, .* \(SUMO: .*\)$"):
+        drive(make(world(**ring | {"traffic": EMPTY | {"additional": [str(path)]}})), always(KEEP))
+
+
 @pytest.mark.parametrize("start_lane", [0, 1, 2])
 def test_a_lanes_own_limit_holds_on_that_lane_alone(make, tmp_path, start_lane):
     path = tmp_path / "slow.net.xml"

@@ -51,6 +51,13 @@ def test_between_two_looks_a_whole_pass_counts():
     assert passes(-8.0, 8.0) == (0, 1)
 
 
+def test_the_faster_they_close_the_farther_it_must_look():
+    looks = scene(car=70.0), scene(car=-2.0), scene(car=-70.0)
+    near, far = PassCounter(), PassCounter(near_m=92.0)
+    assert [near.update(look) for look in looks] == [(0, 0)] * 3
+    assert [far.update(look) for look in looks] == [(0, 0), (0, 0), (1, 0)]
+
+
 def test_who_does_not_count_is_neither_passed_nor_passes():
     counter = PassCounter()
     looks = [scene(car=12.0, other=15.0, late=-15.0), scene(car=-12.0, other=-15.0, late=15.0)]

@@ -168,6 +168,14 @@ def test_lane_changes_come_as_often_as_configured_and_never_when_switched_off(wi
     assert changes(window(3, lane_change_every_s=math.inf), 300.0)[0] == []
 
 
+def test_however_often_they_try_they_change_to_both_sides(window):
+    begun, lanes = window(3, lane_change_every_s=0.5), []
+    for _ in range(60):
+        begun.drive()
+        lanes += begun.lanes().values()
+    assert 1.5 < np.mean(lanes) < 2.5
+
+
 def test_nobody_near_begins_a_lane_change_while_the_host_is_changing_lanes(window):
     reach_m = 2.0 * 40 / KMH
     near = CLEAR_OF_CHANGE_M - reach_m

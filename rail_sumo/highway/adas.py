@@ -33,8 +33,9 @@ RIGHT: Side = -1
 class Adas:
     """Carries meta-actions out; one instance an episode.
 
-    A lane change moves the host sideways at `lateral_speed_mps`. Until it is complete a decision for the other side
-    reverses it, and so does the layer itself while the gap closes before the host has crossed over.
+    A lane change moves the host sideways at `lateral_speed_mps`, even from a standstill, or it could not leave a lane
+    at whose end it waits. Until it is complete a decision for the other side reverses it, and so does the layer itself
+    while the gap closes before the host has crossed over.
     """
 
     def __init__(self, config: config.Adas) -> None:

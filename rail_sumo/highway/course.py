@@ -67,8 +67,8 @@ def along(net: Any, name: str, wanted: tuple[str, ...]) -> tuple[list[Any], bool
 
 def _between(here: Any, ahead: Any, net: Any, name: str) -> tuple[Any, ...]:
     # The edges after `here`, up to and with `ahead`.
-    way = (here, ahead) if ahead in here.getOutgoing() else net.getOptimalPath(here, ahead, vClass=CAR)[0]
-    if way is None or len(way) < 2:
+    way = _shortest(here, ahead, net)
+    if way is None:
         raise InputError(
             f"network '{name}': no way for cars leads from edge '{here.getID()}' to edge '{ahead.getID()}'; name the "
             f"edges of network.course in driving order"
@@ -82,12 +82,23 @@ def _between(here: Any, ahead: Any, net: Any, name: str) -> tuple[Any, ...]:
     return way[1:]
 
 
+def _shortest(here: Any, ahead: Any, net: Any) -> tuple[Any, ...] | None:
+    # The edges from `here` to `ahead`; where they are the same, once round.
+    if ahead in here.getOutgoing():
+        return here, ahead
+    if here is not ahead:
+        return net.getOptimalPath(here, ahead, vClass=CAR)[0]
+    rounds = (net.getOptimalPath(out, ahead, vClass=CAR) for out in here.getOutgoing())
+    way, _ = min((found for found in rounds if found[0]), key=lambda found: found[1], default=(None, 0.0))
+    return way and (here, *way)
+
+
 def longest(net: Any, name: str) -> tuple[list[Any], bool]:
-    """Return the longest way straight on, and whether it is a loop.
+    """Return the longest way straight on, round the bend where nothing leads straight on, and whether it is a loop.
 
     It is the longest chain of edges with two or more lanes for cars in which each edge is followed by the one that its
-    most lanes lead straight on to; a loop counts twice its length, since it never ends. Equal chains are told apart by
-    their edges' ids, so the choice depends on the network alone.
+    most lanes lead straight on to, or else turn to; a loop counts twice its length, since it never ends. Equal chains
+    are told apart by their edges' ids, so the choice depends on the network alone.
 
     Raises:
         InputError: no place to change lanes.

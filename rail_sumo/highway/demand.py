@@ -87,22 +87,23 @@ def _content(path: Path, state: tuple[int, int]) -> _Content:
                 if name.startswith(OURS):
                     taken.append(name)
                 if element.tag in TRAFFIC:
-                    departs_s = _seconds(element.get("depart") or element.get("begin"))
-                    if departs_s < latest_s:
-                        out_of_order.append(name)
-                    latest_s = max(latest_s, departs_s)
+                    departs_s = _seconds(element.get("depart") or element.get("begin") or "")
+                    if departs_s is not None:
+                        if departs_s < latest_s:
+                            out_of_order.append(name)
+                        latest_s = max(latest_s, departs_s)
                 element.clear()
     except UNREADABLE as error:
         raise InputError(f"'{path}' is not a complete XML file: {error}") from None
     return _Content(frozenset(elements), tuple(taken), tuple(out_of_order))
 
 
-def _seconds(time: str | None) -> float:
-    # A time as SUMO reads it, "90", "1:30" or "0:01:30"; 0 for what is none, such as "triggered".
+def _seconds(time: str) -> float | None:
+    # A time as SUMO reads it, "90", "1:30" or "0:01:30"; None for what is none, such as "triggered".
     seconds = 0.0
     try:
-        for part in (time or "").split(":"):
+        for part in time.split(":"):
             seconds = 60 * seconds + float(part)
     except ValueError:
-        return 0.0
+        return None
     return seconds

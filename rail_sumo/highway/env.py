@@ -1,4 +1,4 @@
-"""The Gymnasium environment that closes the circle; it has no logic of its own."""
+"""The Gymnasium environment that closes the circle: how an episode begins, goes on and ends."""
 
 import math
 import sys
@@ -12,12 +12,12 @@ from gymnasium import spaces
 from rail_sumo.config import Config
 from rail_sumo.errors import InputError
 from rail_sumo.highway import demand, road
-from rail_sumo.highway.adas import Adas, HandsOff
+from rail_sumo.highway.adas import LEAVE_LANE_M, Adas, HandsOff
 from rail_sumo.highway.lidar import Boxes, Lidar
 from rail_sumo.highway.observation import Layout
 from rail_sumo.highway.passing import NEAR_M, PassCounter
 from rail_sumo.highway.reward import reward
-from rail_sumo.highway.simulation import HOST, Simulation
+from rail_sumo.highway.simulation import HOST, Simulation, failures_told
 from rail_sumo.highway.traffic import Demand, MovingWindow, Traffic
 from rail_sumo.records import KMH, SECONDS_PER_STEP, EndReason, Floats, Gaps, HostState, MetaAction, Scene, Trajectory
 
@@ -58,8 +58,10 @@ class HighwayEnv(gymnasium.Env[Floats, np.int64]):
         self.observation_space = spaces.Box(*self._layout.bounds, dtype=np.float64)
         self.action_space = spaces.Discrete(len(MetaAction))
         self._period_steps = round(self.config.episode.decision_period_s / SECONDS_PER_STEP)
+        closes_m = self.config.episode.decision_period_s * self.config.adas.max_speed_kmh / KMH
+        self._near_m = max(NEAR_M, closes_m + VEHICLE_M)
         self._start_m = DEMAND_START_M if self._demand else self.config.traffic.behind_m + MARGIN_M
-        self._overrun_m = MARGIN_M + self.config.episode.decision_period_s * self.config.adas.max_speed_kmh / KMH
+        self._overrun_m = MARGIN_M + closes_m
         if self.drivable_m <= 0.0:
             raise InputError(
                 f"network '{self._road.name}': the course is {self._road.length_m:.0f} m long, and the host needs "
@@ -71,13 +73,14 @@ class HighwayEnv(gymnasium.Env[Floats, np.int64]):
         self._simulation: Simulation | None = None
         self._end: EndReason | None = None
 
+    @failures_told()
     def reset(self, *, seed: int | None = None, options: dict[str, Any] | None = None) -> tuple[Floats, dict[str, Any]]:
         """Begin an episode; the same seed gives the same traffic."""
         super().reset(seed=seed)
         self.close()
         self._seed = int(self.np_random.integers(2**31)) if seed is None else seed
         self._adas = HandsOff(self.config.adas) if self._hands_off else Adas(self.config.adas)
-        self._passes = PassCounter()
+        self._passes = PassCounter(self._near_m)
         self._layout.reset()
         self._overtakes = self._overtaken = 0
         self._observations: list[Floats] = []
@@ -100,10 +103,10 @@ class HighwayEnv(gymnasium.Env[Floats, np.int64]):
             begin_s=traffic.begin_s if self._demand else 0.0,
             adas=adas,
             seed=self._seed,
-            context_m=max(self.config.lidar.max_range_m, NEAR_M) + VEHICLE_M,
+            context_m=max(self.config.lidar.max_range_m, self._near_m) + VEHICLE_M,
         )
-        edge = self._road.edges[place[0]]
-        lane = edge.first_lane + int(rng.integers(edge.n_lanes))
+        lanes = self._road.edges[place[0]].lanes_from(place[1], at_least_m=LEAVE_LANE_M)
+        lane = lanes[int(rng.integers(len(lanes)))]
         episode = self.config.episode
         farthest_m = min(episode.course_m, episode.duration_s * adas.max_speed_kmh / KMH) + self._overrun_m
         edges = self._road.laps(place[0], place[1] + farthest_m)
@@ -141,8 +144,13 @@ class HighwayEnv(gymnasium.Env[Floats, np.int64]):
         crashed = self._end == "collision"
         return observation, earned, crashed, self._end is not None and not crashed, {}
 
+    @failures_told()
     def drive(self, action: int) -> tuple[Floats, int]:
-        """Take one decision and drive until the next falls due; returns the next observation and the steps driven."""
+        """Take one decision and drive until the next falls due; returns the next observation and the steps driven.
+
+        Raises:
+            InputError: SUMO gives up, for example at a vehicle of the user's demand that cannot drive its route.
+        """
         simulation, adas = self._under_way(), self._adas
         due = min(self._period_steps, self._duration_steps - len(self._lane_changing))
         self._observations.append(self._observation)
@@ -301,7 +309,8 @@ def check(world: Config) -> tuple[road.Road, list[str]]:
             f"{farthest_m:.0f} m; set episode.course_m to {math.floor(drivable_m)} or less"
         )
     warnings += [*road.warnings(course), *demand.warnings(env.demand)]
-    if env.demand and _is_alone(env):
+    is_alone = _is_alone(env)  # in the moving window too, which is thus tried
+    if env.demand and is_alone:
         warnings.append(
             "when the host enters, nobody of the demand drives along its course; set network.course to where they "
             "drive, or traffic.begin_s to when"

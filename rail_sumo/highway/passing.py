@@ -8,8 +8,7 @@ import numpy as np
 from rail_sumo.records import Scene
 
 NEAR_M = 60.0
-"""Only vehicles this near the host are sorted into ahead and behind. Farther off they may be rounding a bend, and
-nobody closes more than this between two looks."""
+"""Only vehicles this near the host are sorted into ahead and behind. Farther off they may be rounding a bend."""
 
 SAME_WAY = 0.5
 """Cosine of the angle to the host's heading, 60 degrees, up to which a vehicle drives the host's way."""
@@ -19,10 +18,14 @@ class PassCounter:
     """Counts vehicles driving the host's way that were fully ahead and are fully behind, and the reverse.
 
     Jitter alongside does not count, nor does a vehicle that appears or vanishes: each passes only from one clear side
-    to the other. Look at least every 2 s.
+    to the other.
+
+    Args:
+        near_m: only vehicles this near the host are looked at; let it be more than anybody closes between two looks.
     """
 
-    def __init__(self) -> None:
+    def __init__(self, near_m: float = NEAR_M) -> None:
+        self._near_m = near_m
         self._ahead: set[str] = set()
         self._behind: set[str] = set()
 
@@ -44,7 +47,7 @@ class PassCounter:
         rows = zip(scene.ids, along.tolist(), clear.tolist(), away.tolist(), strict=True)
         next(rows)  # the host itself
         for name, distance, touching, apart in rows:
-            if apart < NEAR_M:
+            if apart < self._near_m:
                 side = ahead if distance > touching else behind if distance < -touching else alongside
                 side.add(name)
         overtakes, overtaken = (sum(map(counts, passed)) for passed in (self._ahead & behind, self._behind & ahead))

@@ -43,9 +43,10 @@ class Edge:
 
     id: str
     length_m: float
+    limit_mps: float
+    """The highest speed that is allowed on any of its lanes."""
     limits_ahead: tuple[tuple[float, float], ...]
-    """Metres beyond its end, and the limit from there on, through junctions and over edges, as far as `FORESIGHT_M`; of
-    an edge whose lanes differ the highest."""
+    """Metres beyond its end, and the limit from there on, through junctions and over edges, as far as `FORESIGHT_M`."""
     lane_widths_m: tuple[float, ...]
     to_left_m: tuple[float, ...]
     """For each lane: from its centre to that of the lane to its left; 0 where there is none or a line forbids it."""
@@ -65,6 +66,12 @@ class Edge:
     def lanes(self) -> range:
         """SUMO's indices of the lanes open to cars, from the right."""
         return range(self.first_lane, self.first_lane + self.n_lanes)
+
+    def lanes_from(self, along_m: float, *, at_least_m: float) -> list[int]:
+        """Return the lanes that lead on so far from a place on the edge; where none does, those that do farthest."""
+        ahead_m = [self.length_m - along_m + leads_on_m for leads_on_m in self.leads_on_m]
+        far_enough_m = min(at_least_m, max(ahead_m))
+        return [lane for lane, metres in zip(self.lanes, ahead_m, strict=True) if metres >= far_enough_m]
 
 
 @dataclass(frozen=True, eq=False)
@@ -241,9 +248,13 @@ def _limits_ahead(
                 limits.append((beyond_m, min(inside)))
             beyond_m += junctions_m[k]
             k = (k + 1) % len(edges)
-            limits.append((beyond_m, max(lane.getSpeed() for lane in car_lanes(edges[k]))))
+            limits.append((beyond_m, _limit_mps(edges[k])))
             beyond_m += edges[k].getLength()
         yield tuple(limits)
+
+
+def _limit_mps(edge: Any) -> float:
+    return max(lane.getSpeed() for lane in car_lanes(edge))
 
 
 def _edge(edge: Any, leads_on_m: tuple[float, ...], limits_ahead: tuple[tuple[float, float], ...]) -> Edge:
@@ -254,6 +265,7 @@ def _edge(edge: Any, leads_on_m: tuple[float, ...], limits_ahead: tuple[tuple[fl
     return Edge(
         id=edge.getID(),
         length_m=edge.getLength(),
+        limit_mps=_limit_mps(edge),
         limits_ahead=limits_ahead,
         lane_widths_m=widths,
         to_left_m=(*(m * _may_cross(lane, LEFT) for m, (lane, _) in zip(apart, pairs, strict=True)), 0.0),

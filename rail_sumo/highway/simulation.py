@@ -3,7 +3,7 @@
 import math
 import os
 import tempfile
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from contextlib import contextmanager
 from pathlib import Path
 
@@ -40,6 +40,8 @@ SEEDS = 2**31
 """SUMO takes seeds below this."""
 WAIT_S = 120.0
 LEADER_RANGE_M = 100.0
+STOREY_M = 3.0
+"""Vehicles farther above or below drive on another road, as on a bridge."""
 FAILURES = (libsumo.TraCIException, libsumo.FatalTraCIError)
 
 
@@ -88,10 +90,7 @@ class Simulation:
         self._sizes: dict[str, tuple[float, float]] = {}
         self._routes: dict[tuple[str, ...], str] = {}
         self._edges = {edge.id: edge for edge in road.edges}
-        self._limits_ahead = {
-            edge.id: tuple((m, limit) for m, limit in edge.limits_ahead if math.isfinite(self._binding(limit)))
-            for edge in road.edges
-        }
+        self._limits_ahead = {edge.id: self._those_binding(edge.limits_ahead) for edge in road.edges}
         self.speeds_mps: list[float] = []
         self._lateral_m = 0.0
         self._held: dict[str, int] = {}  # who may not change lanes now, with the lane-change mode to give back
@@ -159,7 +158,11 @@ class Simulation:
         libsumo.vehicle.setLaneChangeMode(name, LEAVE_ENDING_LANES)
 
     def add_host(self, edges: Sequence[str], *, lane: int, front_m: float, speed_mps: float) -> None:
-        """Insert the host; it stands in the first scene after the next step unless there is no room for it."""
+        """Insert the host; it stands in the first scene after the next step unless there is no room for it.
+
+        Where it may not drive as fast as that, it enters as fast as it may.
+        """
+        speed_mps = min(speed_mps, libsumo.lane.getMaxSpeed(f"{edges[0]}_{lane}"))
         self._add(HOST, HOST_TYPE, edges, lane, front_m, f"{speed_mps:.3f}")
         libsumo.vehicle.setSpeedFactor(HOST, UNLIMITED)  # its layer keeps to the limits, and brakes for them in time
         libsumo.vehicle.setLaneChangeMode(HOST, COMMANDED_ONLY)
@@ -212,7 +215,7 @@ class Simulation:
             InputError: no room within `WAIT_S`.
         """
         for _ in range(round(WAIT_S / SECONDS_PER_STEP)):
-            _step()
+            libsumo.simulation.step()
             if HOST in libsumo.simulation.getDepartedIDList():
                 break
         else:
@@ -229,15 +232,18 @@ class Simulation:
     # What the host's sensors and its ADAS layer can know.
 
     def scene(self) -> Scene:
-        """Return the host and every vehicle within the context's reach, east or west, north or south."""
+        """Return the host and every vehicle within the context's reach, east or west, north or south.
+
+        Who drives a storey above or below is not around it.
+        """
         # Getters, not a context subscription: a standing one costs half a step more on every step, and one made for a
         # single look costs more than all the getters together.
         vehicle, size, reach = libsumo.vehicle, self._size, self._context_m
-        host_x, host_y = vehicle.getPosition(HOST)
+        host_x, host_y, host_z = vehicle.getPosition3D(HOST)
         names, rows = [HOST], [(host_x, host_y, vehicle.getAngle(HOST), vehicle.getSpeed(HOST), *size(HOST))]
         for name in vehicle.getIDList():
-            x, y = vehicle.getPosition(name)
-            if abs(x - host_x) < reach and abs(y - host_y) < reach and name != HOST:
+            x, y, z = vehicle.getPosition3D(name)
+            if abs(x - host_x) < reach and abs(y - host_y) < reach and abs(z - host_z) < STOREY_M and name != HOST:
                 names.append(name)
                 rows.append((x, y, vehicle.getAngle(name), vehicle.getSpeed(name), *size(name)))
         front_x, front_y, angle, speed, length, width = np.array(rows).T
@@ -261,13 +267,17 @@ class Simulation:
         return size
 
     def host(self) -> HostState:
-        """Return where the host stands on its edge; off the course's lanes, as on a junction, none is beside it."""
+        """Return where the host stands on its edge; off the course's lanes, as on a junction, none is beside it.
+
+        The limit is that of the lane it is on, as it is now; those ahead are the network's.
+        """
         vehicle = libsumo.vehicle
         edge = self._edges.get(vehicle.getRoadID(HOST))
         speed, lane = vehicle.getSpeed(HOST), vehicle.getLaneIndex(HOST)
-        limit = self._binding(libsumo.lane.getMaxSpeed(vehicle.getLaneID(HOST)))  # the lane's own, and as it is now
+        limit = self._binding(libsumo.lane.getMaxSpeed(vehicle.getLaneID(HOST)))
         if edge is None or lane not in (lanes := edge.lanes):  # on a junction, or strayed
-            return HostState(speed, lane, lane, lane, 0.0, 0.0, 0.0, 0.0, (math.inf,), limit)
+            beyond = self._limits_beyond_this_lane()
+            return HostState(speed, lane, lane, lane, 0.0, 0.0, 0.0, 0.0, (math.inf,), limit, beyond)
         here = lane - edge.first_lane
         return HostState(
             speed_mps=speed,
@@ -282,6 +292,21 @@ class Simulation:
             limit_mps=limit,
             limits_ahead=self._limits_ahead[edge.id],
         )
+
+    def _limits_beyond_this_lane(self) -> tuple[tuple[float, float], ...]:
+        """Return the limits of the edge that comes next, and beyond it, with the metres from here to each."""
+        way = _way_of(HOST)
+        ahead = self._edges.get(way[1]) if len(way) > 1 else None
+        if ahead is None:
+            return ()
+        vehicle = libsumo.vehicle
+        to_it_m = libsumo.lane.getLength(vehicle.getLaneID(HOST)) - vehicle.getLanePosition(HOST)
+        beyond = (to_it_m + ahead.length_m + metres for metres, _ in ahead.limits_ahead)
+        limits = (limit for _, limit in ahead.limits_ahead)
+        return self._those_binding([(to_it_m, ahead.limit_mps), *zip(beyond, limits, strict=True)])
+
+    def _those_binding(self, limits: Iterable[tuple[float, float]]) -> tuple[tuple[float, float], ...]:
+        return tuple((metres, limit) for metres, limit in limits if math.isfinite(self._binding(limit)))
 
     def _binding(self, limit_mps: float) -> float:
         return limit_mps if limit_mps * KMH < self._adas.max_speed_kmh else math.inf
@@ -315,11 +340,7 @@ class Simulation:
     # Time goes on.
 
     def run(self, command: Command) -> int:
-        """Carry a command out; returns the number of steps driven: fewer than asked after a collision.
-
-        Raises:
-            InputError: SUMO gives up, for example at a vehicle of the user's demand that cannot drive its route.
-        """
+        """Carry a command out; returns the number of steps driven: fewer than asked after a collision."""
         vehicle, speeds = libsumo.vehicle, self.speeds_mps
         vehicle.setSpeed(HOST, command.speed_mps)
         if bool(command.lateral_m) != bool(self._held):
@@ -330,7 +351,7 @@ class Simulation:
             vehicle.setLateralLanePosition(HOST, command.lateral_m)
             self._lateral_m = command.lateral_m
         for driven in range(1, command.steps + 1):
-            _step()
+            libsumo.simulation.step()
             speed = vehicle.getSpeed(HOST)
             speeds.append(speed)
             leader = vehicle.getLeader(HOST, LEADER_RANGE_M)
@@ -360,7 +381,7 @@ class Simulation:
 
     def run_without_host(self, seconds: float) -> None:
         """Let the traffic drive, for one step at least, before the host is watched."""
-        _step(libsumo.simulation.getTime() + max(seconds, SECONDS_PER_STEP))
+        libsumo.simulation.step(libsumo.simulation.getTime() + max(seconds, SECONDS_PER_STEP))
 
     def _count_collisions(self) -> bool:
         """Count contacts of the host; those among the others are none of its business."""
@@ -384,10 +405,20 @@ def _start(arguments: list[str]) -> None:
             raise InputError(f"SUMO cannot load the network or its demand: {_reason(said.read(), error)}") from None
 
 
-def _step(until_s: float = 0.0) -> None:
+@contextmanager
+def failures_told() -> Iterator[None]:
+    """Tell in one line what SUMO stumbles over; also a decorator.
+
+    libsumo's own exceptions cannot be pickled, so they would not reach the parent of a worker.
+    """
     try:
-        libsumo.simulation.step(until_s)
-    except FAILURES as error:  # libsumo's own cannot be pickled, so they would not reach the parent of a worker
+        yield
+    except FAILURES as error:
+        if f"'{HOST}'" in str(error):
+            raise InputError(
+                "the host was taken off the road; keep rerouters, vaporizers and the like on its course out of "
+                f"traffic.additional (SUMO: {error})"
+            ) from None
         raise InputError(f"SUMO stopped: {error}") from None
 
 

@@ -79,7 +79,8 @@ class MovingWindow:
             for _ in range(20):
                 lane = self._draw_lane(self._host_start_m)
                 ahead_m = self._rng.uniform(-self._config.behind_m, self._config.ahead_m)
-                if all(lane != other or abs(ahead_m - there) > START_GAP_M for other, there in taken):
+                is_there = lane in self._lanes(self._host_start_m + ahead_m)
+                if is_there and all(lane != other or abs(ahead_m - there) > START_GAP_M for other, there in taken):
                     self._insert(ahead_m, self._host_start_m, lane, self._draw_speed_mps())
                     taken.append((lane, ahead_m))
                     break
@@ -89,7 +90,7 @@ class MovingWindow:
         self._since_update_s += elapsed_s
         if self._since_update_s < PERIOD_S:
             return
-        tries = self._since_update_s / self._config.lane_change_every_s
+        tries = min(1.0, self._since_update_s / self._config.lane_change_every_s)
         self._since_update_s = 0.0
         host_m = self._host_start_m + self._simulation.travelled_m(HOST)
         ahead_m = self._ahead_m(host_m)
@@ -137,6 +138,9 @@ class MovingWindow:
         return self._rng.uniform(self._config.speed_low_kmh, self._config.speed_high_kmh) / KMH
 
     def _draw_lane(self, s_m: float) -> int:
+        lanes = self._lanes(s_m)
+        return lanes[int(self._rng.integers(len(lanes)))]
+
+    def _lanes(self, s_m: float) -> range:
         place = self._road.place(s_m)
-        edge = self._road.edges[place[0] if place else 0]
-        return edge.first_lane + int(self._rng.integers(edge.n_lanes))
+        return self._road.edges[place[0] if place else 0].lanes
