@@ -98,17 +98,17 @@ def compare(cells: pd.DataFrame) -> pd.DataFrame:
     rows: list[dict[str, Any]] = []
     for (learner, layers), driven in cells.groupby(["learner", "layers"], sort=False):
         for metric in (*METRICS, *report.CONTACTS):
-            scores, reference = _scores(driven, metric), _scores(expert, metric)
-            low, high = report.metric_interval(metric, scores)
-            ratio, ratio_low, ratio_high = _against(metric, ratio_of_iqms, scores, reference)
-            difference, difference_low, difference_high = _against(metric, mean_difference, scores, reference)
+            ours, theirs = scores(driven, metric), scores(expert, metric)
+            low, high = report.metric_interval(metric, ours)
+            ratio, ratio_low, ratio_high = _against(metric, ratio_of_iqms, ours, theirs)
+            difference, difference_low, difference_high = _against(metric, mean_difference, ours, theirs)
             paper, paper_expert = _paper(learner, layers, metric), _paper(report.EXPERT, 0, metric)
             rows.append({
                 "learner": learner,
                 "layers": layers,
                 "metric": metric,
-                "mean": scores.mean(),
-                "iqm": iqm(scores),
+                "mean": ours.mean(),
+                "iqm": iqm(ours),
                 "low": low,
                 "high": high,
                 "ratio": ratio,
@@ -117,7 +117,7 @@ def compare(cells: pd.DataFrame) -> pd.DataFrame:
                 "difference": difference,
                 "difference_low": difference_low,
                 "difference_high": difference_high,
-                "above_expert": probability_of_improvement(scores, reference),
+                "above_expert": probability_of_improvement(ours, theirs),
                 "paper": paper,
                 "paper_ratio": paper / paper_expert,
             })  # fmt: skip
@@ -140,10 +140,10 @@ def figures(experiment: Experiment) -> pd.DataFrame:
     cells = experiment.drive([*grid, EXPERT])
     expert = cells[cells["learner"] == report.EXPERT]
     for metric in METRICS:
-        reference = _scores(expert, metric)
+        reference = scores(expert, metric)
         curves = {
             ROWS[system]: np.array([
-                _against(metric, ratio_of_iqms, _scores(_of(cells, *system, n), metric), reference)
+                _against(metric, ratio_of_iqms, scores(_of(cells, *system, n), metric), reference)
                 for n in TRAJECTORIES
             ])
             for system in FIGURES
@@ -160,7 +160,7 @@ def _of(cells: pd.DataFrame, learner: str, layers: int, trajectories: int) -> pd
     return cells[same]
 
 
-def _scores(driven: pd.DataFrame, metric: str) -> Floats:
+def scores(driven: pd.DataFrame, metric: str) -> Floats:
     """Return a metric as `statistics` takes it, shape (n_seeds, n_episodes)."""
     return driven.pivot(index="training_seed", columns="episode", values=metric).to_numpy(dtype=np.float64)
 
