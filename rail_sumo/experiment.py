@@ -28,7 +28,7 @@ from rail_sumo.run_directory import RunDirectory
 QUICK = {"rail": 40, "rewarded": 40, "gail": 40, "bc": 0, "dagger": 5}
 """Who learns, and the iterations of an experiment that is to show its shape within minutes: a quarter."""
 
-REWARD_WEIGHT = 1.0
+REWARD_WEIGHT = 3.0
 """Of the environment's reward beside the judge's, for RAIL that is paid both; `rail.reward_weight` tells another."""
 
 MADE_OF = b"rail_sumo"

@@ -2,11 +2,13 @@ import dataclasses
 import itertools
 import math
 import multiprocessing
+import multiprocessing.pool
 import os
 import pickle
 import re
 import sys
 import time
+import types
 from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 
@@ -176,6 +178,15 @@ def test_ray_is_an_extra_and_its_absence_is_told(monkeypatch):
     message = "--workers ray needs Ray; install it with: pip install 'rail-sumo[ray]'"
     with pytest.raises(InputError, match=f"^{re.escape(message)}$"), workers("ray"):
         pass
+
+
+def test_with_ray_the_map_is_ordered_too(monkeypatch):
+    # Ray's own pool imitates the standard library's, which stands in for it here.
+    pool = types.SimpleNamespace(Pool=lambda: multiprocessing.pool.ThreadPool(2))
+    for name, module in {"ray": pool, "ray.util": pool, "ray.util.multiprocessing": pool}.items():
+        monkeypatch.setitem(sys.modules, name, module)
+    with workers("ray") as cluster:
+        assert list(cluster.map(abs, range(-20, 0))) == list(range(20, 0, -1))
 
 
 PURPOSES = (rollout.EVALUATION, rollout.TRAINING, rollout.DEMONSTRATION, rollout.EXPERT)

@@ -344,6 +344,20 @@ def test_one_worker_and_two_give_the_same_tables_byte_for_byte(tmp_path):
     assert contents(tmp_path / "1") == contents(tmp_path / "2")
 
 
+def test_one_worker_and_two_learn_the_same_policy_bit_for_bit(tmp_path):
+    brief = ["search.n_directions=2", "judge.minibatches=2", "cloning.epochs=1", "train.trajectories=1"]
+    world = config.load(
+        None,
+        [*brief, "train.iterations=2", "train.horizon_s=10.0", "train.evaluation_episodes=1", "episode.course_m=300"],
+    )
+    for workers in (1, 2):
+        run.train(world, tmp_path / str(workers), seed=3, workers=workers)
+    one, two = contents(tmp_path / "1"), contents(tmp_path / "2")
+    for name in ("policy.safetensors", "judge.safetensors", "episodes.csv"):
+        assert one[name] == two[name]
+    assert one["policy.safetensors"] != one["clone.safetensors"]
+
+
 def other_observation(small, learner):
     train = small.train.model_copy(update={"learner": learner, "demonstrations": "expert", "trajectories": 40})
     return small.model_copy(update={"train": train})

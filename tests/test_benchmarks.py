@@ -1,0 +1,95 @@
+"""What the benchmarks make of what they measured; measuring takes them hours."""
+
+import itertools
+import math
+
+import ablations
+import agreement
+import claims
+import efficiency
+import learning
+import noise
+import numpy as np
+import pandas as pd
+import pytest
+import safety
+import sensing
+import throughput
+
+
+@pytest.mark.parametrize(
+    "benchmark", [ablations, agreement, claims, efficiency, learning, noise, safety, sensing, throughput]
+)
+def test_every_benchmark_can_be_asked_what_it_does(benchmark, monkeypatch, capsys):
+    monkeypatch.setattr("sys.argv", [benchmark.__name__, "--help"])
+    with pytest.raises(SystemExit) as ended:
+        benchmark.main()
+    assert ended.value.code == 0
+    assert benchmark.__doc__.splitlines()[0][:40] in capsys.readouterr().out
+
+
+def test_in_the_ablations_every_choice_is_varied_as_often_and_beside_each_of_the_others():
+    signs = np.where(ablations.design(), 1, -1)
+    assert signs.shape == (24, len(ablations.CHOICES))
+    np.testing.assert_array_equal(signs.T @ signs, 24 * np.eye(12))
+    np.testing.assert_array_equal(signs[:12], -signs[12:])  # folded: no effect is mixed up with two others' joining
+    for one, other in itertools.combinations(range(12), 2):
+        np.testing.assert_array_equal(signs.T @ (signs[:, one] * signs[:, other]), 0)
+
+
+def test_an_effect_is_what_the_other_way_adds_and_its_interval_says_how_surely():
+    names = [choice.name for choice in ablations.CHOICES]
+    trainings = pd.DataFrame(ablations.design(), columns=names)
+    worth = dict(zip(names, np.linspace(-0.05, 0.06, len(names)), strict=True))
+    chance = np.random.default_rng(0).normal(scale=0.01, size=len(trainings))
+    trainings["speed_kmh"] = 1.0 + ablations.design() @ np.array(list(worth.values())) + chance
+    found = ablations.effects(trainings, "speed_kmh")
+    assert found["effect"].to_dict() == pytest.approx(worth, abs=0.015)
+    assert ((found["low"] < pd.Series(worth)) & (pd.Series(worth) < found["high"])).sum() >= 10  # of 12, at 95 %
+    # 2 t / sqrt(24) sd, with 11 degrees of freedom
+    assert (found["high"] - found["effect"]).to_numpy() == pytest.approx(np.full(12, 2 * 2.2 / math.sqrt(24) * 0.01), rel=0.6)
+
+
+def curve(*speeds):
+    looks = range(len(speeds))
+    return pd.DataFrame({"iteration": looks, "steps": looks, "seconds": [10.0 * k for k in looks], "speed": speeds})
+
+
+@pytest.mark.parametrize(
+    ("speeds", "seconds"),
+    [
+        ((0.9, 0.95, 0.96, 0.94), 10.0),
+        ((0.9, 0.96, 0.94, 0.95, 0.97), 30.0),  # one look alone may be chance
+        ((0.95, 0.95), 0.0),
+        ((0.9, 0.94, 0.99), math.inf),
+    ],
+)
+def test_a_learner_has_got_there_when_two_looks_in_a_row_show_it(speeds, seconds):
+    assert efficiency.got_there(curve(*speeds), 0.95)["seconds"] == seconds
+
+
+def cells(**speeds):
+    """Two seeds of two episodes each; in every one three lane changes, and one that is taken back."""
+    rows = []
+    for name, speed in speeds.items():
+        learner, _, layers = name.partition("_")
+        for seed, episode in itertools.product(range(2), range(2)):
+            rows.append({
+                "learner": learner, "layers": int(layers), "training_seed": seed, "episode": episode,
+                "speed_kmh": speed + seed + 0.1 * episode, "overtakes": 40, "lane_changes": 3,
+                "aborted_lane_changes": 1, "lateral_reward": -30.0, "collisions": 0, "struck": 0,
+            })  # fmt: skip
+    return pd.DataFrame(rows)
+
+
+def test_learners_are_set_beside_one_another_on_the_same_traffic():
+    found = claims.differences(cells(rail_2=72.0, bc_2=69.0, rail_1=70.0))
+    speeds = found[found["metric"] == "speed_kmh"].set_index(["one", "minus"])[["difference", "low", "high"]]
+    assert speeds.loc[("RAIL, two layers", "behaviour cloning, two layers")].tolist() == pytest.approx([3.0] * 3)
+    assert speeds.loc[("RAIL, one layer", "RAIL, two layers")].tolist() == pytest.approx([-2.0] * 3)
+    assert len(speeds) == 2  # of whom there is nothing there is no row
+
+
+def test_what_lane_changes_cost_and_how_many_are_taken_back():
+    found = claims.lane_changing(cells(rail_2=72.0)).loc[("rail", 2)]
+    assert found.tolist() == [0.25, -10.0, 0, 4]
