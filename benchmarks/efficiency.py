@@ -42,7 +42,7 @@ def learning_curve(given: tuple[str, int, int, int]) -> pd.DataFrame:
     looks = []
     with tempfile.TemporaryDirectory() as folder, rollout.workers(1) as pool:
         begun = training.learn(world, Path(folder) / "run", seed=FIRST_SEED + seed)
-        iterations = training.LEARNERS[learner](
+        iterations = training.LEARNERS[learner].iterate(
             training.Practice(begun, pool), begun.checkpoint(), training.demonstrations_of(world)
         )
         looks.append({"iteration": 0, "steps": 0, "seconds": 0.0, "speed": speed(begun.clone) / expert})

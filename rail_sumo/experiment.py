@@ -22,7 +22,7 @@ from rail_sumo.config import Config, dumps, validate
 from rail_sumo.errors import InputError
 from rail_sumo.files import check_folder, whole_file
 from rail_sumo.records import EPISODE_COLUMNS
-from rail_sumo.rollout import SILENT, Observer, WorkerCount
+from rail_sumo.rollout import SILENT, Observer, Who, WorkerCount
 from rail_sumo.run_directory import RunDirectory
 
 QUICK = {"rail": 40, "rewarded": 40, "gail": 40, "bc": 0, "dagger": 5}
@@ -206,7 +206,7 @@ def _finish(work: _Work) -> pd.DataFrame:
     if not work.is_finished:
         if cell.layers:
             learned = training.learn(world, work.run, seed=cell.seed, resume=work.run.exists())
-            driver: run.Driver = learned.policy(world)
+            driver: Who = learned.policy(world)
         else:
             driver = run.find_driver(cell.learner, world)
         n_episodes = world.train.evaluation_episodes

@@ -45,11 +45,15 @@ class LearnedDriver:
         return Policy(self.theta, self.shape, self.whitening)
 
 
+Who = str | LearnedDriver | drivers.Expert
+"""Who drives, as it travels to a worker: a driver's name, or parameters."""
+
+
 @dataclass(frozen=True)
 class Task:
     """One episode to drive: by whom, in which world, on which traffic."""
 
-    driver: str | LearnedDriver | drivers.Expert
+    driver: Who
     config: Config
     seed: int
     adviser: drivers.Expert | None = None

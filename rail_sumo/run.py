@@ -18,16 +18,15 @@ from rail_sumo.rollout import (
     DEMONSTRATION,
     EVALUATION,
     SILENT,
-    LearnedDriver,
     Observer,
     Task,
+    Who,
     WorkerCount,
     drive_all,
     traffic_seed,
 )
 from rail_sumo.run_directory import CONFIG, RunDirectory
 
-Driver = str | LearnedDriver | drivers.Expert
 Tables = tuple[pd.DataFrame, pd.DataFrame]
 """The `episodes` table and its `summary`."""
 
@@ -46,7 +45,7 @@ def world(policies: Iterable[str], overrides: Iterable[str] = ()) -> Config:
     return config.load(folders[0] / CONFIG if folders else None, overrides)
 
 
-def find_driver(policy: str, world: Config) -> Driver:
+def find_driver(policy: str, world: Config) -> Who:
     """Return who drives under the name: a driver of ours, an expert's folder, or what a run directory learned.
 
     Raises:
@@ -63,7 +62,7 @@ def find_driver(policy: str, world: Config) -> Driver:
 
 
 def evaluate(
-    policies: Mapping[str, Driver],
+    policies: Mapping[str, Who],
     world: Config,
     *,
     episodes: int,
@@ -97,7 +96,7 @@ def evaluate(
 
 
 def record(
-    driver: Driver,
+    driver: Who,
     world: Config,
     *,
     episodes: int,
@@ -160,8 +159,8 @@ def train(
     """
     require_drivable(config, config.train.evaluation_episodes)
     run = training.learn(config, out, seed=seed, workers=workers, resume=resume, observer=observer)
-    policies: dict[str, Driver] = {config.train.learner: run.policy(config)}
-    if training.improves_a_clone(config):
+    policies: dict[str, Who] = {config.train.learner: run.policy(config)}
+    if training.learner_of(config).improves_its_clone:
         policies["clone"] = run.clone
     with suppress(ObservationError):  # the shipped expert senses something else: there is nothing to set beside
         policies[report.EXPERT] = drivers.load_expert(config)

@@ -2,7 +2,7 @@
 
 import itertools
 import time
-from collections.abc import Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
@@ -54,7 +54,7 @@ def learn(
     run = RunDirectory(out) if resume else None
     if run is None:
         require_new(out)
-    if config.train.learner == "dagger":
+    if learner_of(config).asks_the_expert:
         drivers.load_expert(config)  # or there is nobody to ask
     demonstrations = demonstrations_of(config)
     inputs = inputs_of(config)
@@ -67,7 +67,7 @@ def learn(
     observer.start(config.train.learner, config.train.n_iterations, done=checkpoint.iteration)
     started = time.perf_counter() - (checkpoint.progress[-1]["seconds"] if checkpoint.progress else 0.0)
     with rollout.workers(workers) as pool:
-        iterations = LEARNERS[config.train.learner](Practice(run, pool), checkpoint, demonstrations)
+        iterations = learner_of(config).iterate(Practice(run, pool), checkpoint, demonstrations)
         for iteration in itertools.islice(iterations, config.train.n_iterations - checkpoint.iteration):
             row = _progress(iteration, checkpoint.progress, time.perf_counter() - started)
             checkpoint = Checkpoint(iteration.learned, iteration.memory, (*checkpoint.progress, row))
@@ -209,12 +209,32 @@ def _cloning(practice: Practice, checkpoint: Checkpoint, demonstrations: Demonst
     return iter(())
 
 
-LEARNERS = {"rail": _rail, "gail": _gail, "bc": _cloning, "dagger": _dagger, "ars": _ars}
+@dataclass(frozen=True)
+class Learner:
+    """What tells one learner from another."""
+
+    iterate: Callable[[Practice, Checkpoint, Demonstrations], Iterator[Iteration]]
+    """Goes on from a checkpoint, without end."""
+    reads_demonstrations: bool = True
+    """Whether it is shown any, and starts from their clone."""
+    improves_its_clone: bool = True
+    """Whether it comes to more than that."""
+    asks_the_expert: bool = False
 
 
-def improves_a_clone(config: Config) -> bool:
-    """Return whether the learner starts from a clone of the demonstrations, and is more than that."""
-    return config.train.learner in ("rail", "gail", "dagger")
+LEARNERS = {
+    "rail": Learner(_rail),
+    "gail": Learner(_gail),
+    "dagger": Learner(_dagger, asks_the_expert=True),
+    "bc": Learner(_cloning, improves_its_clone=False),
+    "ars": Learner(_ars, reads_demonstrations=False, improves_its_clone=False),
+}
+"""By `train.learner`."""
+
+
+def learner_of(config: Config) -> Learner:
+    """Return the configuration's learner."""
+    return LEARNERS[config.train.learner]
 
 
 def _start(config: Config, demonstrations: Demonstrations, seed: int) -> LearnedDriver:
@@ -222,7 +242,8 @@ def _start(config: Config, demonstrations: Demonstrations, seed: int) -> Learned
     from rail_sumo.imitation import bc
 
     whitening = Whitening.of(demonstrations.observations)
-    cloning = config.cloning.model_copy(update={"epochs": 0}) if config.train.learner == "ars" else config.cloning
+    untrained = config.cloning.model_copy(update={"epochs": 0})
+    cloning = config.cloning if learner_of(config).reads_demonstrations else untrained
     n_features = len(feature_names(config.lidar, config.observation))
     shape = Shape(n_features, config.policy.hidden if config.policy.layers == 2 else None)
     return LearnedDriver(bc.clone(demonstrations, shape, whitening, cloning, seed), shape, whitening)
@@ -293,7 +314,7 @@ def demonstrations_of(config: Config) -> Demonstrations:
         InputError: there are none, or fewer than wanted, or they are damaged or of another observation.
     """
     features = feature_names(config.lidar, config.observation)
-    if config.train.learner == "ars":
+    if not learner_of(config).reads_demonstrations:
         return Demonstrations(np.zeros((1, len(features))), np.zeros(1, np.int64), np.zeros(1, np.int64))
     shown = Demonstrations.load(_demonstrations_file(config), features=features, demonstrating=config.demonstrating)
     return shown.take(config.train.trajectories)
@@ -313,8 +334,8 @@ def inputs_of(config: Config) -> dict[str, str]:
     }
     if additional:
         inputs["traffic.additional"] = " ".join(map(assets.sha256, additional))
-    if config.train.learner != "ars":
+    if learner_of(config).reads_demonstrations:
         inputs["train.demonstrations"] = assets.sha256(_demonstrations_file(config))
-    if config.train.learner == "dagger":
+    if learner_of(config).asks_the_expert:
         inputs["the shipped expert"] = assets.sha256(assets.expert(assets.EXPERT_POLICY))
     return inputs

@@ -47,7 +47,9 @@ def test_an_effect_is_what_the_other_way_adds_and_its_interval_says_how_surely()
     assert found["effect"].to_dict() == pytest.approx(worth, abs=0.015)
     assert ((found["low"] < pd.Series(worth)) & (pd.Series(worth) < found["high"])).sum() >= 10  # of 12, at 95 %
     # 2 t / sqrt(24) sd, with 11 degrees of freedom
-    assert (found["high"] - found["effect"]).to_numpy() == pytest.approx(np.full(12, 2 * 2.2 / math.sqrt(24) * 0.01), rel=0.6)
+    assert (found["high"] - found["effect"]).to_numpy() == pytest.approx(
+        np.full(12, 2 * 2.2 / math.sqrt(24) * 0.01), rel=0.6
+    )
 
 
 def curve(*speeds):

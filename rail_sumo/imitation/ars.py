@@ -1,7 +1,7 @@
 """Augmented random search on the environment's own reward: RAIL's search without the imitation, for comparison.
 
-Source: Mania, Guy & Recht, "Simple random search of static policies is competitive for reinforcement learning"
-(NeurIPS 2018), Algorithm 1. With whitening it is their V2, without V1; with n_top < N their V2-t and V1-t.
+Source: Mania, Guy & Recht, "Simple random search of static linear policies is competitive for reinforcement learning"
+(NeurIPS 2018). With whitening it is their V2, without V1; with n_top < N their V2-t and V1-t.
 """
 
 import itertools

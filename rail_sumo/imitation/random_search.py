@@ -1,7 +1,7 @@
 """Augmented random search as ask/tell, in plain numpy.
 
-Source: Mania, Guy & Recht, "Simple random search of static policies is competitive for reinforcement learning"
-(NeurIPS 2018), Algorithm 2; Shin & Kim (IJCAI 2019), Algorithm 1, keep all N directions (`n_top=n_directions`).
+Source: Mania, Guy & Recht, "Simple random search of static linear policies is competitive for reinforcement learning"
+(NeurIPS 2018). Shin & Kim (IJCAI 2019), Algorithm 1, keep all N directions (`n_top=n_directions`).
 """
 
 import numpy as np
