@@ -225,9 +225,9 @@ def check(
     overrides: Overrides = None,
 ) -> None:
     """Tell where on a network rail-sumo would drive, and what may go wrong there."""
-    from rail_sumo.highway import env
+    from rail_sumo.highway import trial
 
-    course, warnings = env.check(config.load(None, _overrides(file, routes, overrides)))
+    course, warnings = trial.check(config.load(None, _overrides(file, routes, overrides)))
     print(_describe(course))
     print(f"edges: {_shortened([edge.id for edge in course.edges])}")
     for warning in warnings:

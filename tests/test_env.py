@@ -16,6 +16,7 @@ from rail_sumo import assets
 from rail_sumo.config import validate
 from rail_sumo.errors import InputError
 from rail_sumo.highway import env as env_module
+from rail_sumo.highway import trial
 from rail_sumo.highway.env import HighwayEnv
 from rail_sumo.highway.observation import feature_names
 from rail_sumo.highway.reward import reward, total_reward
@@ -474,8 +475,8 @@ def test_who_drives_on_a_road_beside_the_hosts_is_not_overtaken(make, two_roads)
 
 
 def test_the_check_tells_of_a_demand_that_never_comes_along_the_course(two_roads):
-    assert env_module.check(two_roads("beside"))[1] == []
-    (told,) = env_module.check(two_roads("highway"))[1]
+    assert trial.check(two_roads("beside"))[1] == []
+    (told,) = trial.check(two_roads("highway"))[1]
     assert told.startswith("when the host enters, nobody of the demand drives along its course; set network.course")
 
 
@@ -483,7 +484,7 @@ def test_the_check_tries_the_demand(tmp_path):
     lost = tmp_path / "lost.rou.xml"
     lost.write_text('<routes><vehicle id="v" depart="0"><route edges="nowhere"/></vehicle></routes>')
     with pytest.raises(InputError, match=r"SUMO .*nowhere"):
-        env_module.check(world(traffic={"routes": (str(lost),)}))
+        trial.check(world(traffic={"routes": (str(lost),)}))
 
 
 def test_a_check_that_fails_leaves_no_simulation_open(tmp_path):
@@ -491,7 +492,7 @@ def test_a_check_that_fails_leaves_no_simulation_open(tmp_path):
     late.write_text('<routes><vehicle id="v" depart="500"><route edges="highway"/></vehicle></routes>')
     for _ in range(2):
         with pytest.raises(InputError, match="nobody is on the road at 60 s"):
-            env_module.check(world(traffic={"routes": (str(late),)}))
+            trial.check(world(traffic={"routes": (str(late),)}))
 
 
 def test_additional_files_are_loaded(make, tmp_path):
@@ -733,7 +734,7 @@ def test_the_window_reaches_over_edges_with_other_lanes(make, soon_narrow):
         env.reset(seed=UNSEEN + seed)
         assert len(libsumo.vehicle.getIDList()) > 10
     env.close()
-    assert env_module.check(world(network=soon_narrow))[1][0].startswith("the road ends 1")
+    assert trial.check(world(network=soon_narrow))[1][0].startswith("the road ends 1")
 
 
 def test_the_host_starts_on_a_lane_that_leads_on(make, soon_narrow):

@@ -293,37 +293,4 @@ class HighwayEnv(gymnasium.Env[Floats, np.int64]):
             self._simulation = None
 
 
-def check(world: Config) -> tuple[road.Road, list[str]]:
-    """Return the course of a world and what may go wrong on it; of a demand, at the first moment of an episode.
-
-    Raises:
-        InputError: it cannot be driven.
-    """
-    course, env = road.load(world.network.file, world.network.course), HighwayEnv(world)
-    drivable_m = env.drivable_m
-    farthest_m = min(world.episode.course_m, world.episode.duration_s * world.adas.max_speed_kmh / KMH)
-    warnings = []
-    if drivable_m < farthest_m:
-        warnings.append(
-            f"the road ends {drivable_m:.0f} m after the host's start, and so will episodes of up to "
-            f"{farthest_m:.0f} m; set episode.course_m to {math.floor(drivable_m)} or less"
-        )
-    warnings += [*road.warnings(course), *demand.warnings(env.demand)]
-    is_alone = _is_alone(env)  # in the moving window too, which is thus tried
-    if env.demand and is_alone:
-        warnings.append(
-            "when the host enters, nobody of the demand drives along its course; set network.course to where they "
-            "drive, or traffic.begin_s to when"
-        )
-    return course, warnings
-
-
-def _is_alone(env: HighwayEnv) -> bool:
-    try:
-        env.reset(seed=0)
-        return env.is_alone
-    finally:
-        env.close()
-
-
 gymnasium.register("RailSumo/Highway-v0", entry_point="rail_sumo.highway.env:HighwayEnv")
