@@ -356,7 +356,7 @@ def main() -> None:
 
 def describe_machine(console: Console) -> None:
     """Print what the figures hold for."""
-    packages = ", ".join(f"{name} {version(name)}" for name in ("libsumo", "numpy", "gymnasium"))
+    packages = ", ".join(f"{name} {version(name)}" for name in ("libsumo", "numpy", "gymnasium", "highway-env"))
     console.print(f"Python {platform.python_version()}, {packages}; {os.cpu_count()} cores, {platform.machine()}")
     load, _, _ = os.getloadavg()
     if load > 0.3:
