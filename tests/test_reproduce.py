@@ -1,6 +1,10 @@
 """The paper's experiments, on cells whose episodes are made up."""
 
+import itertools
 import re
+import subprocess
+import sys
+import time
 from functools import partial
 
 import numpy as np
@@ -12,7 +16,7 @@ from rail_sumo.config import dumps
 from rail_sumo.errors import InputError
 from rail_sumo.experiment import Experiment
 from rail_sumo.rollout import LearnedDriver
-from rail_sumo.run_directory import Checkpoint, RunDirectory
+from rail_sumo.run_directory import PROGRESS, Checkpoint, RunDirectory
 
 N_EPISODES = 4
 
@@ -289,23 +293,34 @@ def test_table_and_figures_share_their_cells(world, done, tmp_path):
     pd.testing.assert_frame_equal(cells, pd.read_parquet(tmp_path / "cells.parquet"))
 
 
+SMALL = [
+    "cloning.epochs=1",
+    "search.n_directions=2",
+    "gail.rollouts=2",
+    "dagger.rollouts=1",
+    "judge.minibatches=2",
+    "train.iterations=4",
+    "train.horizon_s=10.0",
+    "train.evaluation_episodes=2",
+    "episode.duration_s=10.0",
+]
+
+
 @pytest.mark.slow
-def test_with_two_workers_it_gives_the_same_bytes_as_with_one(tmp_path):
-    small = config.load(
-        None,
-        [
-            "cloning.epochs=1",
-            "search.n_directions=2",
-            "gail.rollouts=2",
-            "dagger.rollouts=1",
-            "judge.minibatches=2",
-            "train.iterations=1",
-            "train.horizon_s=10.0",
-            "train.evaluation_episodes=2",
-            "episode.duration_s=10.0",
-        ],
-    )
-    for workers in (1, 2):
-        table1(small, tmp_path / str(workers), seeds=1, workers=workers)
-    for file in ("cells.parquet", "table1.csv"):
-        assert (tmp_path / "1" / file).read_bytes() == (tmp_path / "2" / file).read_bytes()
+def test_killed_amid_a_training_it_goes_on_with_other_workers_to_the_same_bytes(tmp_path):
+    small = config.load(None, SMALL)
+    table1(small, tmp_path / "whole", seeds=1)
+    overrides = itertools.chain.from_iterable(("--set", override) for override in SMALL)
+    command = ["reproduce", "table1", "--seeds", "1", "--workers", "2", "--out", str(tmp_path / "killed"), *overrides]
+    under_way = subprocess.Popen([sys.executable, "-c", "from rail_sumo.cli import main; main()", *command])
+    run_under_way = tmp_path / "killed" / "runs" / "rail-2-layer-40-seed0"
+    while not (run_under_way / PROGRESS).exists():
+        assert under_way.poll() is None
+        time.sleep(0.01)
+    under_way.kill()
+    under_way.wait()
+    assert RunDirectory(run_under_way).checkpoint().iteration < 4
+    assert not (tmp_path / "killed" / "table1.csv").exists()
+    table1(small, tmp_path / "killed", seeds=1, workers=2)
+    for file in ("cells.parquet", "cells.csv", "table1.csv", "table1.md"):
+        assert (tmp_path / "whole" / file).read_bytes() == (tmp_path / "killed" / file).read_bytes()
