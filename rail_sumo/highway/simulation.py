@@ -301,9 +301,8 @@ class Simulation:
             return ()
         vehicle = libsumo.vehicle
         to_it_m = libsumo.lane.getLength(vehicle.getLaneID(HOST)) - vehicle.getLanePosition(HOST)
-        beyond = (to_it_m + ahead.length_m + metres for metres, _ in ahead.limits_ahead)
-        limits = (limit for _, limit in ahead.limits_ahead)
-        return self._those_binding([(to_it_m, ahead.limit_mps), *zip(beyond, limits, strict=True)])
+        beyond = ((to_it_m + ahead.length_m + metres, limit) for metres, limit in ahead.limits_ahead)
+        return self._those_binding([(to_it_m, ahead.limit_mps), *beyond])
 
     def _those_binding(self, limits: Iterable[tuple[float, float]]) -> tuple[tuple[float, float], ...]:
         return tuple((metres, limit) for metres, limit in limits if math.isfinite(self._binding(limit)))
