@@ -1,7 +1,6 @@
 import itertools
 import random
 import re
-from contextlib import contextmanager
 from itertools import product
 
 import numpy as np
@@ -47,23 +46,22 @@ def touching():
 
 
 @pytest.fixture
-def own_chance():
-    """A context in which nobody may touch the caller's global generators, or puts them back."""
+def left_alone_by():
+    """A function that tells whether doing something leaves the caller's global generators alone, or puts them back."""
 
     def drawn():
         return random.random(), np.random.random(), torch.rand(1).item()  # noqa: NPY002
 
-    @contextmanager
-    def left_alone():
+    def tell(do):
         before = random.getstate(), np.random.get_state(), torch.get_rng_state()  # noqa: NPY002
         expected = drawn()
         random.setstate(before[0])
         np.random.set_state(before[1])  # noqa: NPY002
         torch.set_rng_state(before[2])
-        yield
-        assert drawn() == expected
+        do()
+        return drawn() == expected
 
-    return left_alone
+    return tell
 
 
 @pytest.fixture

@@ -136,7 +136,9 @@ def test_a_rollout_of_one_decision_tells_nothing():
         learner.update([one, one], Indifferent().rewards, np.random.default_rng(0))
 
 
-def test_the_callers_own_chance_is_left_alone(own_chance):
-    with own_chance():
+def test_the_callers_own_chance_is_left_alone(left_alone_by):
+    def learn():
         learner = ppo()
         learner.update([episode(sights(1), np.zeros(N_DECISIONS))], Indifferent().rewards, np.random.default_rng(0))
+
+    assert left_alone_by(learn)

@@ -6,7 +6,7 @@ here is the set speed and its comfortable ramp, and the lane change: its gap gat
 """
 
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from typing import Literal
 
 from rail_sumo import config
@@ -217,16 +217,19 @@ def _across(host: HostState, side: Side) -> float:
     return host.to_left_m if side == LEFT else host.to_right_m
 
 
-def _way_on(host: HostState) -> Side | None:
-    """Return the side of the nearest lane that leads on, if the host must leave its own for it by now.
-
-    Where all end soon, those that lead on farthest are the ones to reach.
-    """
-    ends_in_m = {lane: host.ends_in_m(lane) for lane in range(host.rightmost_lane, host.leftmost_lane + 1)}
+def lanes_leading_on(ends_in_m: Mapping[int, float]) -> list[int]:
+    """Return the lanes that nobody need leave by now; where all end soon, those that lead on farthest."""
     far_enough_m = min(LEAVE_LANE_M, max(ends_in_m.values()))
-    if ends_in_m[host.lane] >= far_enough_m:
+    return [lane for lane, metres in ends_in_m.items() if metres >= far_enough_m]
+
+
+def _way_on(host: HostState) -> Side | None:
+    """Return the side of the nearest lane that leads on, if the host must leave its own for it by now."""
+    goals = lanes_leading_on(
+        {lane: host.ends_in_m(lane) for lane in range(host.rightmost_lane, host.leftmost_lane + 1)}
+    )
+    if host.lane in goals:
         return None
-    goals = [lane for lane, metres in ends_in_m.items() if metres >= far_enough_m]
     return LEFT if min(goals, key=lambda lane: abs(lane - host.lane)) > host.lane else RIGHT
 
 

@@ -87,23 +87,22 @@ def _content(path: Path, state: tuple[int, int]) -> _Content:
                 if name.startswith(OURS):
                     taken.append(name)
                 if element.tag in TRAFFIC:
-                    departs_s = _seconds(element.get("depart") or element.get("begin") or "")
-                    if departs_s is not None:
-                        if departs_s < latest_s:
-                            out_of_order.append(name)
-                        latest_s = max(latest_s, departs_s)
+                    departs_s = _seconds(element.get("depart") or element.get("begin") or "", otherwise=latest_s)
+                    if departs_s < latest_s:
+                        out_of_order.append(name)
+                    latest_s = max(latest_s, departs_s)
                 element.clear()
     except UNREADABLE as error:
         raise InputError(f"'{path}' is not a complete XML file: {error}") from None
     return _Content(frozenset(elements), tuple(taken), tuple(out_of_order))
 
 
-def _seconds(time: str) -> float | None:
-    # A time as SUMO reads it, "90", "1:30" or "0:01:30"; None for what is none, such as "triggered".
+def _seconds(time: str, *, otherwise: float) -> float:
+    # A time as SUMO reads it, "90", "1:30" or "0:01:30"; what is none, such as "triggered", is `otherwise`.
     seconds = 0.0
     try:
         for part in time.split(":"):
             seconds = 60 * seconds + float(part)
     except ValueError:
-        return None
+        return otherwise
     return seconds

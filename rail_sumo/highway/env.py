@@ -12,7 +12,7 @@ from gymnasium import spaces
 from rail_sumo.config import Config
 from rail_sumo.errors import InputError
 from rail_sumo.highway import demand, road
-from rail_sumo.highway.adas import LEAVE_LANE_M, Adas, HandsOff
+from rail_sumo.highway.adas import Adas, HandsOff, lanes_leading_on
 from rail_sumo.highway.lidar import Boxes, Lidar
 from rail_sumo.highway.observation import Layout
 from rail_sumo.highway.passing import NEAR_M, PassCounter
@@ -105,7 +105,7 @@ class HighwayEnv(gymnasium.Env[Floats, np.int64]):
             seed=self._seed,
             context_m=max(self.config.lidar.max_range_m, self._near_m) + VEHICLE_M,
         )
-        lanes = self._road.edges[place[0]].lanes_from(place[1], at_least_m=LEAVE_LANE_M)
+        lanes = lanes_leading_on(self._road.edges[place[0]].ends_in_m(place[1]))
         lane = lanes[int(rng.integers(len(lanes)))]
         episode = self.config.episode
         farthest_m = min(episode.course_m, episode.duration_s * adas.max_speed_kmh / KMH) + self._overrun_m

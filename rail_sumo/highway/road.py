@@ -67,11 +67,10 @@ class Edge:
         """SUMO's indices of the lanes open to cars, from the right."""
         return range(self.first_lane, self.first_lane + self.n_lanes)
 
-    def lanes_from(self, along_m: float, *, at_least_m: float) -> list[int]:
-        """Return the lanes that lead on so far from a place on the edge; where none does, those that do farthest."""
-        ahead_m = [self.length_m - along_m + leads_on_m for leads_on_m in self.leads_on_m]
-        far_enough_m = min(at_least_m, max(ahead_m))
-        return [lane for lane, metres in zip(self.lanes, ahead_m, strict=True) if metres >= far_enough_m]
+    def ends_in_m(self, along_m: float) -> dict[int, float]:
+        """Return how far ahead of a place on the edge each of its lanes stops leading on along the course."""
+        ahead_m = self.length_m - along_m
+        return {lane: ahead_m + leads_on_m for lane, leads_on_m in zip(self.lanes, self.leads_on_m, strict=True)}
 
 
 @dataclass(frozen=True, eq=False)
