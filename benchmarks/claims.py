@@ -3,7 +3,7 @@
     rail-sumo reproduce table1 && python benchmarks/claims.py runs/reproduce
 
 Learners are set beside one another as the table sets them beside the expert: episode by episode on the same traffic, on
-the training seeds that both were trained with.
+the training seeds that both were trained with. Whatever is finished in the folder counts, of Figures 3 and 4 too.
 """
 
 import argparse
@@ -12,9 +12,9 @@ from pathlib import Path
 import numpy as np
 import pandas as pd
 
-from rail_sumo import config, training
+from rail_sumo import config, report, training
 from rail_sumo.records import MetaAction
-from rail_sumo.reproduce import ROWS, scores
+from rail_sumo.reproduce import ROWS, compare, scores
 from rail_sumo.statistics import interval, mean_difference
 
 PAIRS = (
@@ -26,6 +26,24 @@ PAIRS = (
     (("rail", 2), ("expert", 0)),
 )
 METRICS = ("speed_kmh", "overtakes", "lane_changes")
+
+
+def ratios(cells: pd.DataFrame) -> pd.DataFrame:
+    """A row per learner and number of trajectories: ratios to the expert on the same seeds, with 95 % intervals."""
+    driven_by_expert = cells[cells["learner"] == report.EXPERT]
+    rows = []
+    for (learner, layers, trajectories), driven in cells.groupby(["learner", "layers", "trajectories"]):
+        if learner == report.EXPERT:
+            continue
+        expert = driven_by_expert[driven_by_expert["training_seed"].isin(driven["training_seed"])]
+        table = compare(pd.concat([driven, expert])).set_index(["learner", "metric"])
+        of_the_expert = {
+            metric: "{ratio:.3f} ({ratio_low:.3f} to {ratio_high:.3f})".format_map(table.loc[(learner, metric)])
+            for metric in (*METRICS, "lateral_reward")
+        }
+        seeds = driven["training_seed"].nunique()
+        rows.append({"": ROWS[learner, layers], "shown": trajectories, "seeds": seeds, **of_the_expert})
+    return pd.DataFrame(rows)
 
 
 def differences(cells: pd.DataFrame) -> pd.DataFrame:
@@ -67,6 +85,7 @@ def main() -> None:
     parser.add_argument("folder", type=Path, help="what rail-sumo reproduce wrote")
     cells = pd.read_parquet(parser.parse_args().folder / "cells.parquet")
     world = config.Config()
+    print(ratios(cells).to_string(index=False), end="\n\n")
     cells = cells[cells["trajectories"].isin([0, world.train.trajectories])]
     print(differences(cells).round(2).to_string(index=False))
     print(f"\n{lane_changing(cells).round(3).to_string()}")

@@ -70,18 +70,29 @@ def test_a_learner_has_got_there_when_two_looks_in_a_row_show_it(speeds, seconds
     assert efficiency.got_there(curve(*speeds), 0.95)["seconds"] == seconds
 
 
-def cells(**speeds):
-    """Two seeds of two episodes each; in every one three lane changes, and one that is taken back."""
+def cells(trajectories=40, seeds=2, **speeds):
+    """Seeds of two episodes each; in every one three lane changes, and one that is taken back."""
     rows = []
     for name, speed in speeds.items():
         learner, _, layers = name.partition("_")
-        for seed, episode in itertools.product(range(2), range(2)):
+        for seed, episode in itertools.product(range(seeds), range(2)):
             rows.append({
-                "learner": learner, "layers": int(layers), "training_seed": seed, "episode": episode,
-                "speed_kmh": speed + seed + 0.1 * episode, "overtakes": 40, "lane_changes": 3,
-                "aborted_lane_changes": 1, "lateral_reward": -30.0, "collisions": 0, "struck": 0,
+                "learner": learner, "layers": int(layers), "trajectories": trajectories, "training_seed": seed,
+                "episode": episode, "speed_kmh": speed + seed + 0.1 * episode, "overtakes": 40, "lane_changes": 3,
+                "aborted_lane_changes": 1, "longitudinal_reward": 3000.0, "lateral_reward": -30.0,
+                "collisions": 0, "struck": 0,
             })  # fmt: skip
     return pd.DataFrame(rows)
+
+
+def test_a_learner_is_set_beside_the_expert_on_its_own_seeds_for_each_number_of_trajectories():
+    found = claims.ratios(
+        pd.concat([cells(expert_0=60.0, trajectories=0), cells(bc_2=60.0), cells(bc_2=48.0, trajectories=5, seeds=1)])
+    ).set_index("shown")
+    assert found.loc[40, "speed_kmh"] == "1.000 (1.000 to 1.000)"  # the very same, episode by episode
+    assert found.loc[5, "speed_kmh"].startswith("0.800 ")  # 48.05 of 60.05; the other seed's 61.05 would make it 0.794
+    assert found["seeds"].to_dict() == {40: 2, 5: 1}
+    assert len(found) == 2  # nobody is set beside itself
 
 
 def test_learners_are_set_beside_one_another_on_the_same_traffic():
