@@ -7,7 +7,7 @@ import os
 import shlex
 import sys
 from collections.abc import Iterator, Mapping
-from contextlib import contextmanager
+from contextlib import contextmanager, nullcontext
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Literal
 
@@ -101,6 +101,7 @@ def evaluate(
     workers: Workers = "",
     out: Annotated[Path | None, typer.Option(help="Folder for the tables, as CSV and Parquet.")] = None,
     overwrite: Overwrite = False,
+    fcd: Annotated[bool, typer.Option("--fcd", help="Also SUMO's floating-car data of every episode.")] = False,
 ) -> None:
     """Drive policies through the same held-out traffic and compare them.
 
@@ -110,13 +111,18 @@ def evaluate(
 
     if out:
         files.check_folder(out, overwrite=overwrite, instead=", or replace its tables with --overwrite")
+    elif fcd:
+        raise InputError("--fcd writes into the folder of --out; name one")
     n_workers = _workers(workers)
     world = run.world(policies, _overrides(network, routes, overrides))
     who = {policy: run.find_driver(policy, world) for policy in policies}
-    with _bars() as observer:
-        tables = run.evaluate(who, world, episodes=episodes, seed=seed, workers=n_workers, observer=observer)
-    if out:
-        report.write(out, episodes=tables[0], summary=tables[1], overwrite=overwrite)
+    with files.whole_folder(out, overwrite=overwrite) if out else nullcontext() as whole, _bars() as observer:
+        traces = whole / "fcd" if whole and fcd else None
+        tables = run.evaluate(
+            who, world, episodes=episodes, seed=seed, workers=n_workers, observer=observer, fcd=traces
+        )
+        if whole:
+            report.write(whole, episodes=tables[0], summary=tables[1], overwrite=True)
     _show(tables, out)
 
 

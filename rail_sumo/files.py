@@ -1,6 +1,7 @@
 """Output that is there whole or not at all, and never in place of something that was not to be replaced."""
 
 import os
+import shutil
 import tempfile
 from collections.abc import Iterator
 from contextlib import contextmanager
@@ -52,8 +53,8 @@ def whole_file(file: Path) -> Iterator[Path]:
 def whole_folder(folder: Path, *, overwrite: bool = False) -> Iterator[Path]:
     """Give an empty folder on the same disk to write into; at the end it becomes `folder`.
 
-    With `overwrite` the folder may exist: then its files are replaced, one by one, by those of the same names, and
-    others are left alone.
+    With `overwrite` the folder may exist: then its files and folders are replaced, one by one, by those of the same
+    names, and others are left alone.
 
     Raises:
         InputError: it exists, cannot be written to, or the disk is full.
@@ -68,8 +69,11 @@ def whole_folder(folder: Path, *, overwrite: bool = False) -> Iterator[Path]:
             partial.mkdir()
             yield partial
             if merging:
-                for file in sorted(partial.iterdir()):
-                    file.replace(folder / file.name)
+                for new in sorted(partial.iterdir()):
+                    old = folder / new.name
+                    if old.is_dir():
+                        shutil.rmtree(old)
+                    new.replace(old)
             else:
                 partial.rename(folder)
 

@@ -4,6 +4,7 @@ import itertools
 from collections.abc import Iterable, Mapping
 from contextlib import suppress
 from pathlib import Path
+from urllib.parse import quote
 
 import pandas as pd
 
@@ -69,6 +70,7 @@ def evaluate(
     seed: int,
     workers: WorkerCount = 1,
     observer: Observer = SILENT,
+    fcd: Path | None = None,
 ) -> Tables:
     """Drive every policy through the same held-out episodes and return the tables.
 
@@ -79,13 +81,26 @@ def evaluate(
         seed: of the traffic, which no training with any seed has met.
         workers: how many processes drive, or "ray". The tables do not depend on it.
         observer: is told of every episode.
+        fcd: a new folder for SUMO's floating-car data of every episode, see `HighwayEnv`; `pandas.read_parquet` reads
+            all of it as one table, to which it adds `policy` and `episode`.
 
     Raises:
-        InputError: fewer than one episode, or a network or demand that cannot be driven.
+        InputError: fewer than one episode, a network or demand that cannot be driven, or floating-car data from a
+            cluster.
     """
     require_drivable(world, episodes)
+    if fcd and workers == "ray":
+        raise InputError("floating-car data are written on this machine: drive with a number of --workers, not ray")
     labels = list(itertools.product(policies, range(episodes)))
-    tasks = [Task(policies[name], world, traffic_seed(seed, EVALUATION, episode)) for name, episode in labels]
+    tasks = [
+        Task(
+            policies[name],
+            world,
+            traffic_seed(seed, EVALUATION, episode),
+            fcd=_partition(fcd, policy=name, episode=str(episode)) if fcd else None,
+        )
+        for name, episode in labels
+    ]
     driven = drive_all("eval", tasks, workers, observer)
     rows = [
         {"policy": name, "episode": episode, **metrics.row(trajectory, world.adas)}
@@ -168,6 +183,13 @@ def train(
     tables = evaluate(policies, config, episodes=episodes, seed=seed, workers=workers, observer=observer)
     report.write(out, episodes=tables[0], summary=tables[1], overwrite=True)
     return tables
+
+
+def _partition(folder: Path, **keys: str) -> Path:
+    """Return the file of a part of a table, in a new folder named after the part as Hive does."""
+    place = folder.joinpath(*(f"{key}={quote(value, safe='')}" for key, value in keys.items()))
+    place.mkdir(parents=True)
+    return place / "part.parquet"
 
 
 def require_drivable(world: Config, episodes: int = 1) -> None:

@@ -87,6 +87,8 @@ BAD = {
     "eval cut": "'cut/clone.safetensors' is truncated or damaged (SafetensorError: ",
     "eval keep --out exists": "output folder 'exists' exists; choose another, or replace its tables with --overwrite",
     "eval keep --out file/out": "cannot write to 'file/out': '",
+    "eval keep --fcd": "--fcd writes into the folder of --out; name one",
+    "eval keep --workers ray --fcd --out new": "floating-car data are written on this machine: drive with a number of",
     "eval keep --network highwy5": "network 'highwy5' not found; did you mean 'highway5'? (available: highway3, ",
     "eval keep --network none.net.xml": "network file 'none.net.xml' does not exist (current folder: ",
     "eval keep --network cut.net.xml": "network 'cut.net.xml' is not a complete XML file: ",

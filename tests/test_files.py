@@ -53,11 +53,18 @@ def test_overwriting_merges(tmp_path):
     (tmp_path / "run").mkdir()
     (tmp_path / "run" / "notes.txt").write_text("mine")
     (tmp_path / "run" / "table.csv").write_text("old")
+    (tmp_path / "run" / "parts").mkdir()
+    (tmp_path / "run" / "parts" / "0").write_text("old")
+    (tmp_path / "run" / "parts" / "1").write_text("old")
     with whole_folder(tmp_path / "run", overwrite=True) as partial:
         (partial / "table.csv").write_text("new")
-    assert {path.name: path.read_text() for path in (tmp_path / "run").iterdir()} == {
+        (partial / "parts").mkdir()
+        (partial / "parts" / "0").write_text("new")
+    there = {str(path.relative_to(tmp_path / "run")): path for path in (tmp_path / "run").rglob("*") if path.is_file()}
+    assert {name: path.read_text() for name, path in there.items()} == {
         "notes.txt": "mine",
         "table.csv": "new",
+        "parts/0": "new",  # a folder is replaced as a whole
     }
 
 

@@ -15,6 +15,7 @@ from safetensors.numpy import load_file, save_file
 from rail_sumo import config, drivers, rollout, run, training
 from rail_sumo.errors import InputError
 from rail_sumo.highway.reward import total_reward
+from rail_sumo.highway.simulation import HOST
 from rail_sumo.imitation.demonstrations import Demonstrations
 from rail_sumo.records import Trajectory
 from rail_sumo.run_directory import CHECKPOINT, CLONE, JUDGE, POLICY, PROGRESS, PROGRESS_COLUMNS, RunDirectory
@@ -342,6 +343,26 @@ def test_one_worker_and_two_give_the_same_tables_byte_for_byte(tmp_path):
         tables = run.evaluate({"rule": "rule", "random": "random"}, world, episodes=2, seed=0, workers=workers)
         run.report.write(tmp_path / str(workers), episodes=tables[0], summary=tables[1])
     assert contents(tmp_path / "1") == contents(tmp_path / "2")
+
+
+def test_floating_car_data_tell_of_the_very_drives_that_the_tables_tell_of(tmp_path):
+    world = config.load(None, ["episode.duration_s=20.0"])
+    who = {"rule": "rule", "runs/my first": "random"}
+    tables = run.evaluate(who, world, episodes=2, seed=0, workers=2, fcd=tmp_path / "fcd")
+    for table, without in zip(tables, run.evaluate(who, world, episodes=2, seed=0), strict=True):
+        pd.testing.assert_frame_equal(table, without)
+    fcd = pd.read_parquet(tmp_path / "fcd")
+    by_episode = fcd[fcd["vehicle_id"] == HOST].groupby(["policy", "episode"], observed=True)
+    for _, row in tables[0].iterrows():
+        host = by_episode.get_group((row["policy"], row["episode"]))
+        assert len(host) == 1 + 200  # at the start, and after every step
+        assert host["vehicle_speed"][1:].mean() * 3.6 == pytest.approx(row["speed_kmh"], abs=1e-3)
+        assert host["vehicle_odometer"].iloc[-1] == pytest.approx(row["distance_m"], abs=1e-2)
+    now = ["policy", "episode", "timestep_time"]
+    others = fcd.merge(fcd[fcd["vehicle_id"] == HOST], on=now, suffixes=("", "_host"))
+    away_m = np.hypot(others["vehicle_x"] - others["vehicle_x_host"], others["vehicle_y"] - others["vehicle_y_host"])
+    assert len(others) > 2 * 4 * 201  # the host is not alone
+    assert 50.0 < away_m.max() <= world.lidar.max_range_m
 
 
 def test_one_worker_and_two_learn_the_same_policy_bit_for_bit(tmp_path):

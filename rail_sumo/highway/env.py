@@ -17,7 +17,7 @@ from rail_sumo.highway.lidar import Boxes, Lidar
 from rail_sumo.highway.observation import Layout
 from rail_sumo.highway.passing import NEAR_M, PassCounter
 from rail_sumo.highway.reward import reward
-from rail_sumo.highway.simulation import HOST, Simulation, failures_told
+from rail_sumo.highway.simulation import HOST, Simulation, failures_told, floating_car_data
 from rail_sumo.highway.traffic import Demand, MovingWindow, Traffic
 from rail_sumo.records import KMH, SECONDS_PER_STEP, EndReason, Floats, Gaps, HostState, MetaAction, Scene, Trajectory
 
@@ -42,13 +42,16 @@ class HighwayEnv(gymnasium.Env[Floats, np.int64]):
     Args:
         config: the world; the default one without it.
         hands_off: leave the host to SUMO's own driver and ignore the actions.
+        fcd: where SUMO writes the host and whom its LIDAR could reach, step by step, as floating-car data; Parquet, CSV
+            or XML by the file's suffix, anew in every episode and whole once that is closed.
     """
 
     metadata = {"render_modes": []}  # noqa: RUF012  gymnasium reads it from the class
 
-    def __init__(self, config: Config | None = None, *, hands_off: bool = False) -> None:
+    def __init__(self, config: Config | None = None, *, hands_off: bool = False, fcd: Path | None = None) -> None:
         self.config = config or Config()
         self._hands_off = hands_off
+        self._outputs = floating_car_data(fcd, reach_m=self.config.lidar.max_range_m) if fcd else ()
         self._road = road.load(self.config.network.file, self.config.network.course)
         traffic = self.config.traffic
         self._demand, self._additional = demand.check(traffic.routes, traffic.additional)
@@ -104,6 +107,7 @@ class HighwayEnv(gymnasium.Env[Floats, np.int64]):
             adas=adas,
             seed=self._seed,
             context_m=max(self.config.lidar.max_range_m, self._near_m) + VEHICLE_M,
+            outputs=self._outputs,
         )
         lanes = lanes_leading_on(self._road.edges[place[0]].ends_in_m(place[1]))
         lane = lanes[int(rng.integers(len(lanes)))]

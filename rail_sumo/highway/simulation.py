@@ -390,6 +390,15 @@ class Simulation:
         return self.contact
 
 
+def floating_car_data(file: Path, *, reach_m: float) -> tuple[str, ...]:
+    """Return the options that have SUMO write, step by step, where the host is and who is within reach of it."""
+    columns = "x,y,angle,type,speed,acceleration,lane,pos,odometer"
+    return (
+        *("--fcd-output", str(file), "--fcd-output.attributes", columns),
+        *("--device.fcd.explicit", HOST, "--device.fcd.radius", str(reach_m)),
+    )
+
+
 def _way_of(name: str) -> Sequence[str]:
     """Return the edges of a vehicle's route from the one on that it is on, or was on before the junction."""
     return libsumo.vehicle.getRoute(name)[libsumo.vehicle.getRouteIndex(name) :]
