@@ -23,24 +23,19 @@ from rail_sumo import config
 from rail_sumo.highway import env
 from rail_sumo.highway.adas import LATE_LATERAL_M
 from rail_sumo.highway.simulation import HOST, Simulation
-from rail_sumo.records import Command
 from rail_sumo.rollout import EVALUATION, Task, drive, traffic_seed, workers
 
 
 class Watched(Simulation):
-    """Goes one step at a time and notes where the host is sideways."""
+    """Notes where the host is sideways after every step."""
 
     def __init__(self, *arguments, left_m: list[float], **named) -> None:
         super().__init__(*arguments, **named)
         self._left_m = left_m
 
-    def run(self, command: Command) -> int:
-        for number in range(command.steps):
-            super().run(dataclasses.replace(command, steps=1, cross=command.cross if number == 0 else 0))
-            self._left_m.append(libsumo.vehicle.getPosition(HOST)[1])
-            if self.contact:
-                return number + 1
-        return command.steps
+    def _step(self) -> None:
+        super()._step()
+        self._left_m.append(libsumo.vehicle.getPosition(HOST)[1])
 
 
 def account(left_m: list[float], lane_m: float) -> tuple[int, int, int]:
@@ -67,9 +62,8 @@ def episode(task: Task) -> dict[str, int]:
     with tempfile.TemporaryDirectory() as folder:
         files = {kind: Path(folder, f"{kind}.xml") for kind in ("lanechange", "collision")}
         outputs = [word for kind, file in files.items() for word in (f"--{kind}-output", str(file))]
-        watched = functools.partial(Watched, outputs=outputs, left_m=left_m)
-        with mock.patch.object(env, "Simulation", watched):
-            driven = drive(task)
+        with mock.patch.object(env, "Simulation", functools.partial(Watched, left_m=left_m)):
+            driven = drive(dataclasses.replace(task, outputs=tuple(outputs)))
         entries = {kind: list(ElementTree.parse(file).getroot()) for kind, file in files.items()}
     changes, aborted, expected = account(left_m, 3.2)
     return {

@@ -6,7 +6,6 @@ vehicle that the host's rectangle overlaps, however many steps it lasts.
 """
 
 import argparse
-import dataclasses
 import functools
 import time
 from unittest import mock
@@ -17,7 +16,7 @@ import numpy as np
 from rail_sumo import config
 from rail_sumo.highway import env
 from rail_sumo.highway.simulation import HOST, Simulation
-from rail_sumo.records import Command, Floats, Scene
+from rail_sumo.records import Floats, Scene
 from rail_sumo.rollout import EVALUATION, Task, drive, traffic_seed, workers
 
 
@@ -45,24 +44,20 @@ def touched(scene: Scene) -> set[str]:
 
 
 class Watched(Simulation):
-    """Goes one step at a time and looks after each."""
+    """Looks after every step."""
 
     def __init__(self, *arguments, seen: dict[str, int], **named) -> None:
         super().__init__(*arguments, **named)
         self._seen = seen
         self._touching: set[str] = set()
 
-    def run(self, command: Command) -> int:
-        for number in range(command.steps):
-            super().run(dataclasses.replace(command, steps=1, cross=command.cross if number == 0 else 0))
-            touching = touched(self.scene())
-            self._seen["contacts"] += len(touching - self._touching)
-            self._touching = touching
-            others = [pair for pair in libsumo.simulation.getCollisions() if HOST not in (pair.collider, pair.victim)]
-            self._seen["among others"] += len(others)
-            if self.contact:
-                return number + 1
-        return command.steps
+    def _step(self) -> None:
+        super()._step()
+        touching = touched(self.scene())
+        self._seen["contacts"] += len(touching - self._touching)
+        self._touching = touching
+        others = [pair for pair in libsumo.simulation.getCollisions() if HOST not in (pair.collider, pair.victim)]
+        self._seen["among others"] += len(others)
 
 
 def episode(task: Task) -> dict[str, float]:

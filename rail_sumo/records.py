@@ -62,9 +62,9 @@ class HostState:
     leads_on_m: tuple[float, ...]
     """For each lane, from the rightmost: how far beyond the edge's end it leads on along the course; inf to its end."""
     limit_mps: float = math.inf
-    """The speed limit here; inf where it does not bind."""
+    """The speed limit here."""
     limits_ahead: tuple[tuple[float, float], ...] = ()
-    """Metres beyond the edge's end, and the speed limit from there on; those that do not bind left out."""
+    """Metres beyond the edge's end, and the speed limit from there on."""
 
     def ends_in_m(self, lane: int) -> float:
         """Return how far ahead of the host a lane stops leading on along the course."""

@@ -9,7 +9,6 @@ from concurrent.futures import ProcessPoolExecutor
 from concurrent.futures.process import BrokenProcessPool
 from contextlib import contextmanager
 from dataclasses import dataclass
-from pathlib import Path
 from typing import Any, Literal, Protocol
 
 import numpy as np
@@ -59,8 +58,8 @@ class Task:
     seed: int
     adviser: drivers.Expert | None = None
     """Whose advice `drive_advised` notes."""
-    fcd: Path | None = None
-    """Where SUMO writes floating-car data to; see `HighwayEnv`."""
+    outputs: tuple[str, ...] = ()
+    """Further options of SUMO's; see `HighwayEnv`."""
 
 
 def drive(task: Task) -> Trajectory:
@@ -76,7 +75,7 @@ def drive_advised(task: Task) -> tuple[Trajectory, NDArray[np.int64]]:
 
 
 def _drive(task: Task, driver: drivers.Driver) -> Trajectory:
-    env = HighwayEnv(task.config, hands_off=task.driver == "sumo", fcd=task.fcd)
+    env = HighwayEnv(task.config, hands_off=task.driver == "sumo", outputs=task.outputs)
     try:
         observation, _ = env.reset(seed=task.seed)
         while not env.is_over:

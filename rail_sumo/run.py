@@ -14,6 +14,7 @@ from rail_sumo.errors import InputError, ObservationError, did_you_mean
 from rail_sumo.files import check_file
 from rail_sumo.highway.env import HighwayEnv
 from rail_sumo.highway.observation import feature_names
+from rail_sumo.highway.simulation import floating_car_data
 from rail_sumo.imitation.demonstrations import Demonstrations
 from rail_sumo.rollout import (
     DEMONSTRATION,
@@ -81,8 +82,8 @@ def evaluate(
         seed: of the traffic, which no training with any seed has met.
         workers: how many processes drive, or "ray". The tables do not depend on it.
         observer: is told of every episode.
-        fcd: a new folder for SUMO's floating-car data of every episode, see `HighwayEnv`; `pandas.read_parquet` reads
-            all of it as one table, to which it adds `policy` and `episode`.
+        fcd: a new folder for SUMO's floating-car data: the host, and who is within reach of its LIDAR, on every step.
+            `pandas.read_parquet` reads the folder as one table, to which it adds `policy` and `episode`.
 
     Raises:
         InputError: fewer than one episode, a network or demand that cannot be driven, or floating-car data from a
@@ -97,7 +98,7 @@ def evaluate(
             policies[name],
             world,
             traffic_seed(seed, EVALUATION, episode),
-            fcd=_partition(fcd, policy=name, episode=str(episode)) if fcd else None,
+            outputs=_floating_car_data(fcd, world, policy=name, episode=episode) if fcd else (),
         )
         for name, episode in labels
     ]
@@ -185,11 +186,11 @@ def train(
     return tables
 
 
-def _partition(folder: Path, **keys: str) -> Path:
-    """Return the file of a part of a table, in a new folder named after the part as Hive does."""
-    place = folder.joinpath(*(f"{key}={quote(value, safe='')}" for key, value in keys.items()))
+def _floating_car_data(folder: Path, world: Config, **part: str | int) -> tuple[str, ...]:
+    """Return the options for one episode's part of a table, in a new folder named after the part as Hive does."""
+    place = folder.joinpath(*(f"{key}={quote(str(value), safe='')}" for key, value in part.items()))
     place.mkdir(parents=True)
-    return place / "part.parquet"
+    return floating_car_data(place / "part.parquet", reach_m=world.lidar.max_range_m)
 
 
 def require_drivable(world: Config, episodes: int = 1) -> None:

@@ -1,5 +1,4 @@
 import dataclasses
-import functools
 import math
 import re
 import signal
@@ -55,7 +54,7 @@ def make():
 
 
 class Watched(Simulation):
-    """Goes one step at a time and keeps what an onlooker sees after each."""
+    """Keeps what an onlooker sees after every step."""
 
     latest: "Watched"
 
@@ -64,14 +63,9 @@ class Watched(Simulation):
         Watched.latest = self
         self.scenes = []
 
-    def run(self, command):
-        for number in range(command.steps):
-            cross = command.cross if number == 0 else 0
-            super().run(dataclasses.replace(command, steps=1, cross=cross))
-            self.scenes.append(self.scene())
-            if self.contact:
-                return number + 1
-        return command.steps
+    def _step(self):
+        super()._step()
+        self.scenes.append(self.scene())
 
 
 @pytest.fixture
@@ -87,7 +81,9 @@ def outputs(monkeypatch, tmp_path):
     options = []
     for kind in ("lanechange", "collision"):
         options += [f"--{kind}-output", str(tmp_path / f"{kind}.xml")]
-    monkeypatch.setattr(env_module, "Simulation", functools.partial(Watched, outputs=options))
+    monkeypatch.setattr(
+        env_module, "Simulation", lambda *given, **named: Watched(*given, **named | {"outputs": options})
+    )
     return lambda kind: list(ElementTree.parse(tmp_path / f"{kind}.xml").getroot())
 
 
@@ -718,6 +714,69 @@ def test_the_host_enters_no_faster_than_it_may(make, tmp_path):
     path.write_text(MERGE.replace("36.11", "8.33"))
     driven = drive(make(world(network={"file": str(path)}, traffic=EMPTY, episode={"duration_s": 5.0})), always(KEEP))
     assert driven.speed_mps == pytest.approx(np.full(51, 8.33))
+
+
+@pytest.fixture
+def signalled(tmp_path):
+    """The same, and the signal before the junction turns green after 80 s."""
+    path = tmp_path / "signal.net.xml"
+    logic = (
+        '<tlLogic id="b" type="static" programID="0" offset="0">'
+        '<phase duration="80" state="rr"/><phase duration="900" state="GG"/></tlLogic>'
+    )
+    text = MERGE.replace('id="b" type="priority"', 'id="b" type="traffic_light"')
+    text = text.replace("<junction", logic + "<junction", 1)
+    for lane in (0, 1):
+        text = text.replace(f'via=":b_0_{lane}"', f'via=":b_0_{lane}" tl="b" linkIndex="{lane}"')
+    path.write_text(text)
+    return path
+
+
+@pytest.mark.parametrize("hands_off", [False, True])
+def test_for_a_red_light_the_host_brakes_comfortably_and_no_sooner_than_it_must(make, watched, signalled, hands_off):
+    world_of_its_own = world(network={"file": str(signalled)}, traffic=EMPTY, episode={"duration_s": 100.0})
+    driven = drive(make(world_of_its_own, hands_off=hands_off), always(ACCELERATE), UNSEEN)
+    fronts = np.array([scene.x_m[0] + 0.5 * scene.length_m[0] for scene in watched().scenes])
+    times = np.array([scene.time_s for scene in watched().scenes])
+    speeds = driven.speed_mps[1:]
+    assert 990.0 < fronts[times <= 80.0].max() < 996.0
+    assert np.diff(driven.speed_mps).min() >= -0.2 - 1e-6  # 2 m/s²
+    assert speeds[fronts < 996.0 - 130.0][-1] * KMH == pytest.approx(80.0)  # 2.5 m + (80 / 3.6)^2 / 4 = 126 m
+    assert speeds[times <= 80.0][-1] == pytest.approx(0.0, abs=0.01)
+    assert fronts[-1] > 1050.0
+
+
+@pytest.mark.parametrize(("away_m", "stops"), [(40.0, False), (80.0, True)])
+@pytest.mark.parametrize("hands_off", [False, True])
+def test_at_yellow_the_host_stops_if_it_can_comfortably_and_else_drives_on(
+    make, watched, signalled, away_m, stops, hands_off
+):
+    # At 60 km/h it needs (60 / 3.6)^2 / 4 = 69 m, and gets 50 m far in 3 s.
+    turns_s = round((796.0 - away_m) / (60 / KMH), 1)  # it starts at 200 m
+    red = '<phase duration="80" state="rr"/>'
+    yellow = f'<phase duration="{turns_s}" state="GG"/><phase duration="3" state="yy"/>{red}'
+    signalled.write_text(signalled.read_text().replace(red, yellow))
+    episode = {"duration_s": turns_s + 20.0}
+    adas = {"start_speed_kmh": 60.0, "max_speed_kmh": 60.1}
+    world_of_its_own = world(network={"file": str(signalled)}, traffic=EMPTY, episode=episode, adas=adas)
+    driven = drive(make(world_of_its_own, hands_off=hands_off), always(KEEP), UNSEEN)
+    front = watched().scenes[-1].x_m[0] + 0.5 * watched().scenes[-1].length_m[0]
+    assert driven.speed_mps[-1] * KMH == pytest.approx(0.0 if stops else 60.0, abs=0.2)
+    assert (front < 996.0) == stops
+    assert np.diff(driven.speed_mps).min() >= (-0.2 if stops else -0.01) - 1e-6
+
+
+@pytest.mark.parametrize("vehicles", [0, 16])
+def test_close_to_a_red_light_the_host_starts_slower_and_is_none_the_slower_later(make, signalled, vehicles):
+    signalled.write_text(re.sub(r'(<lane id="wide.*?)length="996.00"', r'\1length="204.00"', signalled.read_text()))
+    network, traffic, episode = {"file": str(signalled)}, {"vehicles": vehicles}, {"duration_s": 120.0}
+    for seed in range(3):  # it starts at 200 m
+        env = make(world(network=network, traffic=traffic, episode=episode))
+        driven = drive(env, always(ACCELERATE), UNSEEN + seed)
+        assert 0.0 < driven.speed_mps[0] < 10.0  # of the 16.7 m/s that it was to
+        if not vehicles:
+            assert driven.speed_mps[10:700].max() < 1.0  # it waits
+            assert driven.speed_mps.max() * KMH == pytest.approx(80.0)
 
 
 @pytest.fixture

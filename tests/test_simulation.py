@@ -226,7 +226,9 @@ def test_a_host_that_finds_no_gap_is_a_users_error():
         libsumo.vehicle.setSpeed("parked", 0.0)
         simulation.run_without_host(1.0)
         simulation.add_host(["highway"], lane=0, front_m=498.0, speed_mps=20.0)
-        with pytest.raises(InputError, match=r"^the host found no gap to enter the traffic within 120 s; use a li"):
+        with pytest.raises(
+            InputError, match=r"^the host could not enter within 120 s, 498 m along lane 0 of edge 'high"
+        ):
             simulation.wait_for_host()
 
 

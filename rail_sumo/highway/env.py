@@ -2,6 +2,7 @@
 
 import math
 import sys
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
@@ -11,13 +12,13 @@ from gymnasium import spaces
 
 from rail_sumo.config import Config
 from rail_sumo.errors import InputError
-from rail_sumo.highway import demand, road
+from rail_sumo.highway import demand, road, sumo_errors
 from rail_sumo.highway.adas import Adas, HandsOff, lanes_leading_on
 from rail_sumo.highway.lidar import Boxes, Lidar
 from rail_sumo.highway.observation import Layout
 from rail_sumo.highway.passing import NEAR_M, PassCounter
 from rail_sumo.highway.reward import reward
-from rail_sumo.highway.simulation import HOST, Simulation, failures_told, floating_car_data
+from rail_sumo.highway.simulation import HOST, Simulation
 from rail_sumo.highway.traffic import Demand, MovingWindow, Traffic
 from rail_sumo.records import KMH, SECONDS_PER_STEP, EndReason, Floats, Gaps, HostState, MetaAction, Scene, Trajectory
 
@@ -42,16 +43,15 @@ class HighwayEnv(gymnasium.Env[Floats, np.int64]):
     Args:
         config: the world; the default one without it.
         hands_off: leave the host to SUMO's own driver and ignore the actions.
-        fcd: where SUMO writes the host and whom its LIDAR could reach, step by step, as floating-car data; Parquet, CSV
-            or XML by the file's suffix, anew in every episode and whole once that is closed.
+        outputs: further options of SUMO's, such as those of its own reports, which are whole once an episode is closed.
     """
 
     metadata = {"render_modes": []}  # noqa: RUF012  gymnasium reads it from the class
 
-    def __init__(self, config: Config | None = None, *, hands_off: bool = False, fcd: Path | None = None) -> None:
+    def __init__(self, config: Config | None = None, *, hands_off: bool = False, outputs: Sequence[str] = ()) -> None:
         self.config = config or Config()
         self._hands_off = hands_off
-        self._outputs = floating_car_data(fcd, reach_m=self.config.lidar.max_range_m) if fcd else ()
+        self._outputs = outputs
         self._road = road.load(self.config.network.file, self.config.network.course)
         traffic = self.config.traffic
         self._demand, self._additional = demand.check(traffic.routes, traffic.additional)
@@ -76,7 +76,7 @@ class HighwayEnv(gymnasium.Env[Floats, np.int64]):
         self._simulation: Simulation | None = None
         self._end: EndReason | None = None
 
-    @failures_told()
+    @sumo_errors.as_input_errors()
     def reset(self, *, seed: int | None = None, options: dict[str, Any] | None = None) -> tuple[Floats, dict[str, Any]]:
         """Begin an episode; the same seed gives the same traffic."""
         super().reset(seed=seed)
@@ -148,7 +148,7 @@ class HighwayEnv(gymnasium.Env[Floats, np.int64]):
         crashed = self._end == "collision"
         return observation, earned, crashed, self._end is not None and not crashed, {}
 
-    @failures_told()
+    @sumo_errors.as_input_errors()
     def drive(self, action: int) -> tuple[Floats, int]:
         """Take one decision and drive until the next falls due; returns the next observation and the steps driven.
 

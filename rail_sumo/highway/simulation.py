@@ -1,10 +1,7 @@
 """The one libsumo process: Scene out, Command in. Every SUMO fact is converted once, here."""
 
 import math
-import os
-import tempfile
-from collections.abc import Iterable, Iterator, Sequence
-from contextlib import contextmanager
+from collections.abc import Sequence
 from pathlib import Path
 
 import libsumo
@@ -12,6 +9,7 @@ import numpy as np
 
 from rail_sumo import config
 from rail_sumo.errors import InputError
+from rail_sumo.highway import sumo_errors
 from rail_sumo.highway.demand import OURS
 from rail_sumo.highway.road import Road
 from rail_sumo.records import KMH, SECONDS_PER_STEP, Command, Gaps, HostState, Scene
@@ -40,9 +38,10 @@ SEEDS = 2**31
 """SUMO takes seeds below this."""
 WAIT_S = 120.0
 LEADER_RANGE_M = 100.0
+STOP_SHORT_M = 2.5
+"""How far before a stop line the host stops. SUMO's own distance is 1 m, and it brakes for that harder at the end."""
 STOREY_M = 3.0
 """Vehicles farther above or below drive on another road, as on a bridge."""
-FAILURES = (libsumo.TraCIException, libsumo.FatalTraCIError)
 
 
 class Simulation:
@@ -90,14 +89,13 @@ class Simulation:
         self._sizes: dict[str, tuple[float, float]] = {}
         self._routes: dict[tuple[str, ...], str] = {}
         self._edges = {edge.id: edge for edge in road.edges}
-        self._limits_ahead = {edge.id: self._those_binding(edge.limits_ahead) for edge in road.edges}
         self.speeds_mps: list[float] = []
         self._lateral_m = 0.0
         self._held: dict[str, int] = {}  # who may not change lanes now, with the lane-change mode to give back
         self.collisions = 0
         self.struck = 0
         self.min_ttc_s = math.inf
-        _start(
+        sumo_errors.start(
             [
                 *("--net-file", str(road.net_file)),
                 *(("--route-files", ",".join(map(str, routes))) if routes else ()),
@@ -112,6 +110,7 @@ class Simulation:
             ]
         )
         Simulation._running = self._is_open = True
+        self._has_signals = bool(libsumo.trafficlight.getIDList())
         self._equip_host()
 
     def __enter__(self) -> "Simulation":
@@ -162,11 +161,15 @@ class Simulation:
 
         Where it may not drive as fast as that, it enters as fast as it may.
         """
-        speed_mps = min(speed_mps, libsumo.lane.getMaxSpeed(f"{edges[0]}_{lane}"))
-        self._add(HOST, HOST_TYPE, edges, lane, front_m, f"{speed_mps:.3f}")
+        self._start_mps = min(speed_mps, libsumo.lane.getMaxSpeed(f"{edges[0]}_{lane}"))
+        self._start = (edges, lane, front_m)
+        self._enter(f"{self._start_mps:.3f}")
+
+    def _enter(self, speed: str) -> None:
+        self._add(HOST, HOST_TYPE, *self._start, speed)
         libsumo.vehicle.setSpeedFactor(HOST, UNLIMITED)  # its layer keeps to the limits, and brakes for them in time
         libsumo.vehicle.setLaneChangeMode(HOST, COMMANDED_ONLY)
-        libsumo.vehicle.setSpeed(HOST, speed_mps)
+        libsumo.vehicle.setSpeed(HOST, self._start_mps)
 
     def _add(self, name: str, kind: str, edges: Sequence[str], lane: int, front_m: float, speed: str) -> None:
         route = tuple(edges)
@@ -209,21 +212,32 @@ class Simulation:
         return libsumo.vehicle.getDistance(name)
 
     def wait_for_host(self) -> None:
-        """Let the traffic drive until there is room for the host.
+        """Let the traffic drive until the host has entered.
+
+        In a window SUMO leaves out whom it does not let start so fast, as just before a red light; then the host
+        enters as fast as it can.
 
         Raises:
-            InputError: no room within `WAIT_S`.
+            InputError: it has not entered within `WAIT_S`.
         """
-        for _ in range(round(WAIT_S / SECONDS_PER_STEP)):
+        vehicle, slower = libsumo.vehicle, False
+        for number in range(round(WAIT_S / SECONDS_PER_STEP)):
+            if number and HOST not in libsumo.simulation.getPendingVehicles():
+                slower = True
+                self._enter("max")
+                vehicle.setMaxSpeed(HOST, self._start_mps)
             libsumo.simulation.step()
             if HOST in libsumo.simulation.getDepartedIDList():
                 break
         else:
+            edges, lane, front_m = self._start
             raise InputError(
-                f"the host found no gap to enter the traffic within {WAIT_S:.0f} s; "
-                "use a lighter demand or another network"
+                f"the host could not enter within {WAIT_S:.0f} s, {front_m:.0f} m along lane {lane} of edge "
+                f"'{edges[0]}'; use a lighter demand, or begin elsewhere by network.course"
             )
-        self.speeds_mps.append(libsumo.vehicle.getSpeed(HOST))
+        if slower:
+            vehicle.setMaxSpeed(HOST, self._adas.max_speed_kmh / KMH)
+        self.speeds_mps.append(vehicle.getSpeed(HOST))
 
     def hand_over(self) -> None:
         """Let SUMO's own driver change lanes too; its speed is left to it by a command with a negative speed."""
@@ -269,28 +283,29 @@ class Simulation:
     def host(self) -> HostState:
         """Return where the host stands on its edge; off the course's lanes, as on a junction, none is beside it.
 
-        The limit is that of the lane it is on, as it is now; those ahead are the network's.
+        The limit is that of the lane it is on, as it is now; those ahead are the network's, and a red light's is 0.
         """
         vehicle = libsumo.vehicle
         edge = self._edges.get(vehicle.getRoadID(HOST))
         speed, lane = vehicle.getSpeed(HOST), vehicle.getLaneIndex(HOST)
-        limit = self._binding(libsumo.lane.getMaxSpeed(vehicle.getLaneID(HOST)))
+        limit = libsumo.lane.getMaxSpeed(vehicle.getLaneID(HOST))
         if edge is None or lane not in (lanes := edge.lanes):  # on a junction, or strayed
-            beyond = self._limits_beyond_this_lane()
-            return HostState(speed, lane, lane, lane, 0.0, 0.0, 0.0, 0.0, (math.inf,), limit, beyond)
+            ahead = (*self._limits_beyond_this_lane(), *self._red_light(0.0))
+            return HostState(speed, lane, lane, lane, 0.0, 0.0, 0.0, 0.0, (math.inf,), limit, ahead)
         here = lane - edge.first_lane
+        to_edge_end_m = edge.length_m - vehicle.getLanePosition(HOST)
         return HostState(
             speed_mps=speed,
             lane=lane,
             rightmost_lane=lanes[0],
             leftmost_lane=lanes[-1],
-            to_edge_end_m=edge.length_m - vehicle.getLanePosition(HOST),
+            to_edge_end_m=to_edge_end_m,
             lane_width_m=edge.lane_widths_m[here],
             to_left_m=edge.to_left_m[here],
             to_right_m=edge.to_right_m[here],
             leads_on_m=edge.leads_on_m,
             limit_mps=limit,
-            limits_ahead=self._limits_ahead[edge.id],
+            limits_ahead=(*edge.limits_ahead, *self._red_light(to_edge_end_m)),
         )
 
     def _limits_beyond_this_lane(self) -> tuple[tuple[float, float], ...]:
@@ -302,13 +317,22 @@ class Simulation:
         vehicle = libsumo.vehicle
         to_it_m = libsumo.lane.getLength(vehicle.getLaneID(HOST)) - vehicle.getLanePosition(HOST)
         beyond = ((to_it_m + ahead.length_m + metres, limit) for metres, limit in ahead.limits_ahead)
-        return self._those_binding([(to_it_m, ahead.limit_mps), *beyond])
+        return (to_it_m, ahead.limit_mps), *beyond
 
-    def _those_binding(self, limits: Iterable[tuple[float, float]]) -> tuple[tuple[float, float], ...]:
-        return tuple((metres, limit) for metres, limit in limits if math.isfinite(self._binding(limit)))
+    def _red_light(self, to_edge_end_m: float) -> tuple[tuple[float, float], ...]:
+        """Return the next signal, unless it is green, as a limit of 0: SUMO would brake for it as late as it can.
 
-    def _binding(self, limit_mps: float) -> float:
-        return limit_mps if limit_mps * KMH < self._adas.max_speed_kmh else math.inf
+        A yellow one that the host could not stop at comfortably is passed.
+        """
+        metres, state = self._next_signal()
+        stopping_m = libsumo.vehicle.getSpeed(HOST) ** 2 / (2 * self._adas.comfort_braking_mps2)
+        is_red = state in ("r", "u") or (state == "y" and stopping_m <= metres)
+        return ((metres - STOP_SHORT_M - to_edge_end_m, 0.0),) if is_red else ()
+
+    def _next_signal(self) -> tuple[float, str]:
+        """Return how far away the next signal on the host's way is, and its state as SUMO tells it; empty if none."""
+        signals = libsumo.vehicle.getNextTLS(HOST) if self._has_signals else ()
+        return signals[0][2:] if signals else (math.inf, "")
 
     def gaps(self, side: int) -> Gaps:
         """Return the gaps in the host's own lane (0) or the one to its left (+1) or right (-1)."""
@@ -339,8 +363,13 @@ class Simulation:
     # Time goes on.
 
     def run(self, command: Command) -> int:
-        """Carry a command out; returns the number of steps driven: fewer than asked after a collision."""
-        vehicle, speeds = libsumo.vehicle, self.speeds_mps
+        """Carry a command out, to its end unless the host collides or a signal ahead changes.
+
+        Returns:
+            The number of steps driven.
+        """
+        vehicle = libsumo.vehicle
+        _, signal = self._next_signal()
         vehicle.setSpeed(HOST, command.speed_mps)
         if bool(command.lateral_m) != bool(self._held):
             self._release() if self._held else self._hold()
@@ -350,18 +379,26 @@ class Simulation:
             vehicle.setLateralLanePosition(HOST, command.lateral_m)
             self._lateral_m = command.lateral_m
         for driven in range(1, command.steps + 1):
-            libsumo.simulation.step()
-            speed = vehicle.getSpeed(HOST)
-            speeds.append(speed)
-            leader = vehicle.getLeader(HOST, LEADER_RANGE_M)
-            if leader and leader[0]:
-                closing = speed - vehicle.getSpeed(leader[0])
-                gap = leader[1] + self._adas.standstill_gap_m
-                if closing * self.min_ttc_s > gap > 0.0:
-                    self.min_ttc_s = gap / closing
-            if libsumo.simulation.getCollidingVehiclesNumber() and self._count_collisions():
+            self._step()
+            if self.contact or (self._has_signals and self._next_signal()[1] != signal):
                 return driven
         return command.steps
+
+    def _step(self) -> None:
+        """Let SUMO go one step on, and note what became of the host."""
+        libsumo.simulation.step()
+        speed = libsumo.vehicle.getSpeed(HOST)
+        self.speeds_mps.append(speed)
+        leader = libsumo.vehicle.getLeader(HOST, LEADER_RANGE_M)
+        if leader and leader[0]:
+            closing = speed - libsumo.vehicle.getSpeed(leader[0])
+            gap = leader[1] + self._adas.standstill_gap_m
+            if closing * self.min_ttc_s > gap > 0.0:
+                self.min_ttc_s = gap / closing
+        if libsumo.simulation.getCollidingVehiclesNumber():
+            for collision in libsumo.simulation.getCollisions():  # those among the others are none of its business
+                self.collisions += collision.collider == HOST
+                self.struck += collision.victim == HOST
 
     def _hold(self) -> None:
         """Keep everyone near from changing lanes while the host does.
@@ -382,16 +419,12 @@ class Simulation:
         """Let the traffic drive, for one step at least, before the host is watched."""
         libsumo.simulation.step(libsumo.simulation.getTime() + max(seconds, SECONDS_PER_STEP))
 
-    def _count_collisions(self) -> bool:
-        """Count contacts of the host; those among the others are none of its business."""
-        for collision in libsumo.simulation.getCollisions():
-            self.collisions += collision.collider == HOST
-            self.struck += collision.victim == HOST
-        return self.contact
-
 
 def floating_car_data(file: Path, *, reach_m: float) -> tuple[str, ...]:
-    """Return the options that have SUMO write, step by step, where the host is and who is within reach of it."""
+    """Return the options that have SUMO write, on every step, where the host is and who is within reach of it.
+
+    Parquet, CSV or XML, by the file's suffix.
+    """
     columns = "x,y,angle,type,speed,acceleration,lane,pos,odometer"
     return (
         *("--fcd-output", str(file), "--fcd-output.attributes", columns),
@@ -402,48 +435,3 @@ def floating_car_data(file: Path, *, reach_m: float) -> tuple[str, ...]:
 def _way_of(name: str) -> Sequence[str]:
     """Return the edges of a vehicle's route from the one on that it is on, or was on before the junction."""
     return libsumo.vehicle.getRoute(name)[libsumo.vehicle.getRouteIndex(name) :]
-
-
-def _start(arguments: list[str]) -> None:
-    with tempfile.TemporaryFile() as said, _standard_error_to(said.fileno()):
-        try:
-            libsumo.start(["sumo", *arguments])
-        except FAILURES as error:
-            said.seek(0)
-            raise InputError(f"SUMO cannot load the network or its demand: {_reason(said.read(), error)}") from None
-
-
-@contextmanager
-def failures_told() -> Iterator[None]:
-    """Tell in one line what SUMO stumbles over; also a decorator.
-
-    libsumo's own exceptions cannot be pickled, so they would not reach the parent of a worker.
-    """
-    try:
-        yield
-    except FAILURES as error:
-        if f"'{HOST}'" in str(error):
-            raise InputError(
-                "the host was taken off the road; keep rerouters, vaporizers and the like on its course out of "
-                f"traffic.additional (SUMO: {error})"
-            ) from None
-        raise InputError(f"SUMO stopped: {error}") from None
-
-
-@contextmanager
-def _standard_error_to(file: int) -> Iterator[None]:
-    """Send what SUMO says elsewhere: it writes to the process's standard error, past sys.stderr."""
-    kept = os.dup(2)
-    os.dup2(file, 2)
-    try:
-        yield
-    finally:
-        os.dup2(kept, 2)
-        os.close(kept)
-
-
-def _reason(said: bytes, error: Exception) -> str:
-    """Return the first error that SUMO told on standard error; its exception often knows only "Process Error"."""
-    lines = (line.strip() for line in said.decode(errors="replace").splitlines())
-    told = next((line.removeprefix("Error: ") for line in lines if line.startswith("Error")), str(error))
-    return " ".join(told.split())
