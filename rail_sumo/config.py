@@ -238,8 +238,10 @@ class Train(_Section):
     """One training run."""
 
     learner: Learner = "rail"
+    expert: str = "shipped"
+    """Who is imitated, asked and compared with: `shipped`, or a folder that `rail-sumo expert train` wrote."""
     demonstrations: str = "expert"
-    """`expert` for the shipped expert's own, or a Parquet file that `rail-sumo expert record` wrote."""
+    """`expert` for the expert's own, or a Parquet file that `rail-sumo expert record` wrote."""
     trajectories: Count = 40
     iterations: Annotated[int, Field(ge=0)] | Literal["default"] = "default"
     """By default 160 of RAIL, GAIL and ARS, 20 of DAgger; behaviour cloning has none."""
@@ -247,6 +249,11 @@ class Train(_Section):
     """Length of one training rollout. Much shorter than the demonstrations, and the judge tells young traffic from old
     instead of the learner from the expert."""
     evaluation_episodes: Count = 16
+
+    @property
+    def expert_folder(self) -> Path | None:
+        """The expert's folder; None for the shipped one."""
+        return None if self.expert == "shipped" else Path(self.expert)
 
     @property
     def n_iterations(self) -> int:

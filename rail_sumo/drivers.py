@@ -1,4 +1,4 @@
-"""Drivers that learn nothing here: keep, random, rule, SUMO's own, and the shipped expert."""
+"""Whatever decides for the host: fixed rules, the expert, learned policies."""
 
 import math
 from collections.abc import Sequence
@@ -74,7 +74,7 @@ class Rule:
 
 
 class Expert:
-    """The shipped expert: a tanh network trained by masked PPO, driven by its most probable allowed action.
+    """An expert: a tanh network trained by masked PPO, driven by its most probable allowed action.
 
     Args:
         layers: (weights, biases) from input to output; weights of shape (n_out, n_in).
@@ -154,12 +154,13 @@ def by_name(name: str, config: Config, seed: int) -> Driver:
 
 
 def load_expert(config: Config, folder: Path | None = None) -> Expert:
-    """Return the shipped expert, or the one in `folder` that `rail-sumo expert train` wrote.
+    """Return the expert in `folder`, which `rail-sumo expert train` wrote; without one, the configuration's.
 
     Raises:
         ObservationError: it was trained with other sensing than the configuration's.
         InputError: it is missing or damaged.
     """
+    folder = folder or config.train.expert_folder
     with safe_open(assets.expert(assets.EXPERT_POLICY, folder), framework="numpy") as file:
         n_layers = len(file.keys()) // 2
         layers = [(file.get_tensor(f"{i}.weight"), file.get_tensor(f"{i}.bias")) for i in range(n_layers)]
@@ -167,7 +168,7 @@ def load_expert(config: Config, folder: Path | None = None) -> Expert:
     apart = difference(recipe.sensing, config.sensing)
     if apart:
         raise ObservationError(
-            f"the expert was trained with {apart}; leave [lidar] and [observation] as in its recipe, or train an "
-            f"expert: rail-sumo expert train"
+            f"the expert was trained with {apart}; leave [lidar] and [observation] as in its recipe, or train "
+            f"another (rail-sumo expert train) and name its folder in train.expert"
         )
     return Expert(layers)

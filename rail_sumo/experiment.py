@@ -175,7 +175,8 @@ class _Work:
         """The files that the result follows from."""
         inputs = training.inputs_of(self.config)
         if self.cell.learner == report.EXPERT:
-            inputs["the shipped expert"] = assets.sha256(assets.expert(assets.EXPERT_POLICY))
+            folder = self.config.train.expert_folder
+            inputs["train.expert"] = assets.sha256(assets.expert(assets.EXPERT_POLICY, folder))
         return inputs
 
 

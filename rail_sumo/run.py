@@ -163,7 +163,7 @@ def train(
     resume: bool = False,
     observer: Observer = SILENT,
 ) -> Tables:
-    """Learn a driver, and set it beside its clone, if it has one, and the shipped expert on held-out traffic.
+    """Learn a driver, and set it beside its clone, if it has one, and the expert on held-out traffic.
 
     The run directory `out` appears once there is something to start from. From then on training may be interrupted at
     any moment, by kill -9 too, and with `resume` goes on to the very same policy, or to more iterations.
@@ -178,7 +178,7 @@ def train(
     policies: dict[str, Who] = {config.train.learner: run.policy(config)}
     if training.learner_of(config).improves_its_clone:
         policies["clone"] = run.clone
-    with suppress(ObservationError):  # the shipped expert senses something else: there is nothing to set beside
+    with suppress(ObservationError):  # the expert senses something else: there is nothing to set beside
         policies[report.EXPERT] = drivers.load_expert(config)
     episodes = config.train.evaluation_episodes
     tables = evaluate(policies, config, episodes=episodes, seed=seed, workers=workers, observer=observer)

@@ -173,7 +173,7 @@ class RunDirectory:
                 f"with --out"
             )
         for key, checksum in self._about["inputs"].items():
-            if inputs[key] != checksum:
+            if inputs.get(key) != checksum:
                 raise InputError(
                     f"the content of {key} has changed since run directory '{self.path}' was started; put it back as "
                     f"it was, or start another run with --out"

@@ -322,7 +322,7 @@ def demonstrations_of(config: Config) -> Demonstrations:
 
 def _demonstrations_file(config: Config) -> Path:
     name = config.train.demonstrations
-    return assets.expert(assets.EXPERT_DEMONSTRATIONS) if name == "expert" else Path(name)
+    return assets.expert(assets.EXPERT_DEMONSTRATIONS, config.train.expert_folder) if name == "expert" else Path(name)
 
 
 def inputs_of(config: Config) -> dict[str, str]:
@@ -337,5 +337,5 @@ def inputs_of(config: Config) -> dict[str, str]:
     if learner_of(config).reads_demonstrations:
         inputs["train.demonstrations"] = assets.sha256(_demonstrations_file(config))
     if learner_of(config).asks_the_expert:
-        inputs["the shipped expert"] = assets.sha256(assets.expert(assets.EXPERT_POLICY))
+        inputs["train.expert"] = assets.sha256(assets.expert(assets.EXPERT_POLICY, config.train.expert_folder))
     return inputs

@@ -148,7 +148,7 @@ def test_on_the_same_traffic_the_rule_driver_is_always_faster_than_keeping_and_r
 def test_the_expert_refuses_to_drive_by_other_senses_than_it_was_trained_on():
     message = (
         "the expert was trained with lidar.n_rays = 24, not 12; leave [lidar] and [observation] as in its recipe, or "
-        "train an expert: rail-sumo expert train"
+        "train another (rail-sumo expert train) and name its folder in train.expert"
     )
     odd = Config(lidar=config.Lidar(n_rays=12), observation=config.Observation(host_speed=True, lateral_state=True))
     with pytest.raises(ObservationError, match=f"^{re.escape(message)}$"):

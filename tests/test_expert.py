@@ -63,6 +63,26 @@ def test_its_folder_drives_under_its_path_and_differs_from_the_shipped_expert(tr
     assert speeds["mine"] > speeds["keep"]
 
 
+def test_the_expert_that_is_named_is_imitated_asked_and_compared_with(tmp_path, monkeypatch):
+    """One with other senses than the shipped one's, who does nothing but accelerate."""
+    blind = [(np.zeros((5, N_FEATURES // 2)), np.eye(5)[MetaAction.ACCELERATE])]
+    monkeypatch.setattr(ppo, "train", lambda config, seed, traffic_seeds, observer: blind)
+    brief = ["lidar.n_rays=12", "episode.duration_s=20", "train.evaluation_episodes=2", "train.trajectories=3"]
+    expert.train(config.load(None, brief), tmp_path / "mine", seed=5)
+    asked = ["train.learner=dagger", "train.iterations=1", "train.horizon_s=10.0", "dagger.rollouts=1"]
+    world = config.load(None, [*brief, *asked, f"train.expert={tmp_path / 'mine'}"])
+    episodes, _ = run.train(world, tmp_path / "run", seed=1)
+    speeds = episodes.pivot(index="episode", columns="policy", values="speed_kmh")
+    assert set(speeds) == {"dagger", "clone", "expert"}
+    # All of them accelerate from 60 km/h, and are held up by the same traffic; keeping is slower.
+    assert (speeds["dagger"] == speeds["expert"]).all()
+    assert (speeds["clone"] == speeds["expert"]).all()
+    kept, _ = run.evaluate({"keep": "keep"}, world, episodes=2, seed=1)
+    assert (speeds["expert"].to_numpy() > kept["speed_kmh"].to_numpy()).all()
+    with pytest.raises(InputError, match="no expert here"):
+        run.train(config.load(None, [*brief, f"train.expert={tmp_path}"]), tmp_path / "other", seed=1)
+
+
 def test_a_changed_file_is_refused(trained):
     with (trained / "policy.safetensors").open("ab") as file:
         file.write(b"x")
