@@ -63,7 +63,7 @@ def main() -> None:
     given = parser.parse_args()
     learned = RunDirectory(given.run)
     judge = training.judge_of(learned)
-    payer = training.paid_by(judge, learned.config)
+    payer = training.judge_with_reward(judge, learned.config)
     for whose, mean in verdicts(learned, judge, given.workers).items():
         print(f"the judge's mean verdict on {whose}: {mean:.3f}")
     with rollout.workers(given.workers) as pool:

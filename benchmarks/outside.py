@@ -30,8 +30,7 @@ from rail_sumo.highway.env import HighwayEnv
 from rail_sumo.highway.observation import feature_names
 from rail_sumo.imitation import bc as ours
 from rail_sumo.imitation.perceptron import flatten
-from rail_sumo.policy import Shape, Whitening
-from rail_sumo.rollout import LearnedDriver
+from rail_sumo.policy import PolicyParameters, Shape, Whitening
 
 SHOWN = ["speed_kmh", "overtakes", "lane_changes", "refused_decisions", "collisions"]
 EPISODES = 16
@@ -61,17 +60,17 @@ def transitions(demonstrations, whitening: Whitening) -> Transitions:
     return Transitions(seen, demonstrations.actions, np.array([{}] * len(seen)), after, last)
 
 
-def learned(policy: ActorCriticPolicy, start: LearnedDriver) -> LearnedDriver:
+def learned(policy: ActorCriticPolicy, start: PolicyParameters) -> PolicyParameters:
     """Return the policy's actor as one of our drivers."""
     modules = [*policy.mlp_extractor.policy_net, policy.action_net]
     return replace(start, theta=flatten(module for module in modules if isinstance(module, torch.nn.Linear)))
 
 
-def taught(world, demonstrations, seed: int, rounds: int) -> dict[str, LearnedDriver]:
+def taught(world, demonstrations, seed: int, rounds: int) -> dict[str, PolicyParameters]:
     """Return the drivers that the two libraries learn from the same demonstrations."""
     whitening = Whitening.of(demonstrations.observations)
     shape = Shape(len(feature_names(world.lidar, world.observation)), world.policy.hidden)
-    our_clone = LearnedDriver(ours.clone(demonstrations, shape, whitening, world.cloning, seed), shape, whitening)
+    our_clone = PolicyParameters(ours.clone(demonstrations, shape, whitening, world.cloning, seed), shape, whitening)
     quiet = logger.configure(None, format_strs=[])
     shown = transitions(demonstrations, whitening)
     practice = world.practice(world.train.horizon_s)

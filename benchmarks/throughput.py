@@ -36,9 +36,9 @@ from rail_sumo.config import Config, load
 from rail_sumo.highway import road
 from rail_sumo.highway.lidar import Boxes, Lidar
 from rail_sumo.highway.simulation import HOST
-from rail_sumo.policy import Policy
+from rail_sumo.policy import Policy, PolicyParameters
 from rail_sumo.records import SECONDS_PER_STEP
-from rail_sumo.rollout import EVALUATION, LearnedDriver, Task, Workers, drive, traffic_seed, workers
+from rail_sumo.rollout import EVALUATION, Task, Workers, drive, traffic_seed, workers
 from rail_sumo.run_directory import RunDirectory
 
 INSTALL = "pip install 'rail-sumo[benchmarks]'"
@@ -207,7 +207,7 @@ def over_traci(recording: Recording, task: Task) -> float:
 
     The recorded orders stand for the deciding, so that the traffic is the same; starting SUMO is not timed.
     """
-    assert isinstance(task.driver, LearnedDriver)
+    assert isinstance(task.driver, PolicyParameters)
     config, policy = task.config, task.driver.policy()
     borders = road.load(config.network.file).boundaries
     lidar = Lidar(config.lidar.n_rays, config.lidar.max_range_m, borders if config.lidar.road_edges else None)
@@ -256,7 +256,7 @@ def memory_mb(pid: int) -> dict[str, float]:
     return {name: float(re.search(rf"^{key}:\s+(\d+) kB", text, re.M)[1]) / 1024 for name, key in names.items()}
 
 
-def policy_of(run: Path | None, config: Config) -> LearnedDriver:
+def policy_of(run: Path | None, config: Config) -> PolicyParameters:
     """Return a run directory's policy; without one, a clone of the shipped demonstrations, with seed 0."""
     if run is not None:
         return RunDirectory(run).policy(config)
@@ -269,7 +269,7 @@ def policy_of(run: Path | None, config: Config) -> LearnedDriver:
     features = feature_names(config.lidar, config.observation)
     demonstrations = Demonstrations.load(assets.expert("demonstrations.parquet"), features=features)
     whitening, shape = Whitening.of(demonstrations.observations), Shape(len(features), config.policy.hidden)
-    return LearnedDriver(bc.clone(demonstrations, shape, whitening, config.cloning, seed=0), shape, whitening)
+    return PolicyParameters(bc.clone(demonstrations, shape, whitening, config.cloning, seed=0), shape, whitening)
 
 
 @dataclass

@@ -157,22 +157,12 @@ class Search(_Section):
     """Only the best so many directions count, by the better return of either way."""
     step_size: Positive = 0.05
     noise_std: Positive = 0.1
-    """Smaller, and what a perturbation changes drowns in what traffic does; larger, and it is another driver."""
+    """Too small, and traffic's noise hides what a perturbation does; too large, and it is a different driver."""
 
     @property
     def kept(self) -> int:
         """How many directions count."""
         return self.n_directions if self.n_top == "all" else self.n_top
-
-    @property
-    def knobs(self) -> dict[str, Any]:
-        """What `imitation.random_search.RandomSearch` is made with beside theta."""
-        return {
-            "n_directions": self.n_directions,
-            "n_top": self.kept,
-            "step_size": self.step_size,
-            "noise_std": self.noise_std,
-        }
 
     @model_validator(mode="after")
     def _top(self) -> "Search":
@@ -246,8 +236,8 @@ class Train(_Section):
     iterations: Annotated[int, Field(ge=0)] | Literal["default"] = "default"
     """By default 160 of RAIL, GAIL and ARS, 20 of DAgger; behaviour cloning has none."""
     horizon_s: Positive = 200.0
-    """Length of one training rollout. Much shorter than the demonstrations, and the judge tells young traffic from old
-    instead of the learner from the expert."""
+    """Length of one training rollout. If much shorter than the demonstrations, the judge learns to tell early traffic
+    from late traffic instead of learner from expert."""
     evaluation_episodes: Count = 16
 
     @property
@@ -333,7 +323,7 @@ class Config(_Section):
 
     @property
     def sensing(self) -> dict[str, Any]:
-        """What an observation's numbers mean, `section.key` by `section.key`."""
+        """The keys that decide what an observation's numbers mean, as `section.key`."""
         return {key: value for key, value in self.flat().items() if key.startswith(("lidar.", "observation."))}
 
     @property
@@ -386,7 +376,7 @@ def recorded(text: str) -> Config:
     return validate({name: tree[name] for name in ("lidar", "observation", "episode") if name in tree})
 
 
-def difference(given: Mapping[str, Any], wanted: Mapping[str, Any]) -> str:
+def first_difference(given: Mapping[str, Any], wanted: Mapping[str, Any]) -> str:
     """Return the first key in which two sets of keys differ, with both values; empty if in none."""
     found = ((key, value, wanted[key]) for key, value in given.items() if wanted[key] != value)
     return next((f"{key} = {value}, not {other}" for key, value, other in found), "")

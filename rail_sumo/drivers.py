@@ -9,7 +9,7 @@ import numpy as np
 from safetensors import safe_open
 
 from rail_sumo import assets
-from rail_sumo.config import Adas, Config, difference, recorded
+from rail_sumo.config import Adas, Config, first_difference, recorded
 from rail_sumo.errors import InputError, ObservationError, did_you_mean
 from rail_sumo.highway.env import HighwayEnv
 from rail_sumo.policy import Policy
@@ -103,21 +103,21 @@ class Learned:
         return self._policy(observation)
 
 
-class Drawing:
-    """A learned policy that draws its actions, each with its softmax probability."""
+class Sampling:
+    """A learned policy that samples its actions, each with its softmax probability."""
 
     def __init__(self, policy: Policy, seed: int) -> None:
         self._policy = policy
         self._rng = np.random.default_rng([seed, 2])  # a stream of its own, beside the traffic's
 
     def decide(self, observation: Floats, env: HighwayEnv) -> int:
-        """Return an action by chance."""
+        """Return a sampled action."""
         outputs = self._policy.outputs(observation)
         return int(np.argmax(outputs + self._rng.gumbel(size=len(outputs))))  # the Gumbel-max trick
 
 
 class Advised:
-    """Drives as it would, and notes what an adviser would have decided."""
+    """Lets one driver drive and records what another would have decided."""
 
     def __init__(self, driver: Driver, adviser: Driver) -> None:
         self._driver = driver
@@ -165,10 +165,10 @@ def load_expert(config: Config, folder: Path | None = None) -> Expert:
         n_layers = len(file.keys()) // 2
         layers = [(file.get_tensor(f"{i}.weight"), file.get_tensor(f"{i}.bias")) for i in range(n_layers)]
     recipe = recorded(assets.expert(assets.EXPERT_RECIPE, folder).read_text(encoding="utf-8"))
-    apart = difference(recipe.sensing, config.sensing)
-    if apart:
+    mismatch = first_difference(recipe.sensing, config.sensing)
+    if mismatch:
         raise ObservationError(
-            f"the expert was trained with {apart}; leave [lidar] and [observation] as in its recipe, or train "
+            f"the expert was trained with {mismatch}; leave [lidar] and [observation] as in its recipe, or train "
             f"another (rail-sumo expert train) and name its folder in train.expert"
         )
     return Expert(layers)

@@ -4,7 +4,7 @@ import difflib
 from collections.abc import Iterable
 
 LISTED = 16
-"""So many names a message tells."""
+"""At most this many names are listed in a message."""
 
 
 class InputError(ValueError):

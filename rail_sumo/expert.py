@@ -15,7 +15,7 @@ from rail_sumo.drivers import Expert
 from rail_sumo.files import check_folder, whole_folder
 from rail_sumo.highway.observation import feature_names
 from rail_sumo.records import Floats
-from rail_sumo.rollout import EXPERT, traffic_seed
+from rail_sumo.rollout import EXPERT_TRAINING, traffic_seed
 from rail_sumo.run_directory import own_version
 
 
@@ -41,7 +41,7 @@ def train(
     check_folder(out)
     run.require_drivable(config, config.train.evaluation_episodes)
     observer.start("practise", config.expert.updates * config.expert.decisions_per_update)
-    traffic_seeds = (traffic_seed(seed, EXPERT, episode) for episode in itertools.count())
+    traffic_seeds = (traffic_seed(seed, EXPERT_TRAINING, episode) for episode in itertools.count())
     layers = ppo.train(config, seed, traffic_seeds, lambda _: observer.advance({}))
     expert = Expert(layers)
     tables = run.evaluate(

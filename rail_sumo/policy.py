@@ -32,7 +32,7 @@ class Shape:
 
 @dataclass(frozen=True)
 class Whitening:
-    """Mean and standard deviation of the demonstrations' observations, each of shape (n_features,)."""
+    """Mean and standard deviation that observations are centred and scaled by, each of shape (n_features,)."""
 
     mean: Floats
     std: Floats
@@ -85,6 +85,21 @@ class Policy:
     def __call__(self, observation: Floats) -> int:
         """Return the `MetaAction` for an observation of shape (n_features,)."""
         return int(self.outputs(observation).argmax())
+
+
+@dataclass(frozen=True)
+class PolicyParameters:
+    """A learned supervisor as data: what is kept on disk and travels to a worker."""
+
+    theta: Floats
+    shape: Shape
+    whitening: Whitening
+    samples: bool = False
+    """Whether actions are sampled with their softmax probabilities; else the most probable one is taken."""
+
+    def policy(self) -> Policy:
+        """Return the callable supervisor."""
+        return Policy(self.theta, self.shape, self.whitening)
 
 
 def unflatten(theta: Floats, shape: Shape) -> list[Floats]:

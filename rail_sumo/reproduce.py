@@ -14,14 +14,14 @@ from rail_sumo.records import Floats
 from rail_sumo.statistics import interval, iqm, mean_difference, probability_of_improvement, ratio_of_iqms
 
 TRAJECTORIES = (1, 5, 10, 20, 40)
-METRICS = ("speed_kmh", "overtakes", "lane_changes", "longitudinal_reward", "lateral_reward")
+PAPER_METRICS = ("speed_kmh", "overtakes", "lane_changes", "longitudinal_reward", "lateral_reward")
 
 PAPER = {
     ("rail", 2): (70.38, 45.04, 15.01, 2719.38, -122.98),
     ("rail", 1): (65.00, 40.03, 13.05, 2495.57, -175.6),
     ("expert", 0): (68.83, 44.48, 14.04, 2642.11, -132.52),
 }
-"""Table 1 of the paper, by learner and layers, in the order of `METRICS`."""
+"""Table 1 of the paper, by learner and layers, in the order of `PAPER_METRICS`."""
 
 ROWS = {
     ("rail", 2): "RAIL, two layers",
@@ -40,7 +40,7 @@ ROWS = {
 TABLE1 = tuple(system for system in ROWS if system != ("expert", 0))
 """The rows beside the expert's."""
 
-EXPERT = (report.EXPERT, 0, 0)
+EXPERT_CELL = (report.EXPERT, 0, 0)
 """Whom all are set beside, as a part of an experiment's grid."""
 
 FIGURES = (("rail", 2), ("rail", 1), ("bc", 2), ("gail", 2))
@@ -77,7 +77,7 @@ def table1(experiment: Experiment) -> pd.DataFrame:
     """
     train = experiment.config.train
     grid = [(learner, layers, train.trajectories if layers else 0) for learner, layers in TABLE1]
-    table = compare(experiment.drive([*grid, EXPERT]))
+    table = compare(experiment.drive([*grid, EXPERT_CELL]))
     with whole_file(experiment.out / "table1.csv") as partial:
         table.to_csv(partial, index=False)
     with whole_file(experiment.out / "table1.md") as partial:
@@ -97,7 +97,7 @@ def compare(cells: pd.DataFrame) -> pd.DataFrame:
     expert = cells[cells["learner"] == report.EXPERT]
     rows: list[dict[str, Any]] = []
     for (learner, layers), driven in cells.groupby(["learner", "layers"], sort=False):
-        for metric in (*METRICS, *report.CONTACTS):
+        for metric in (*PAPER_METRICS, *report.CONTACTS):
             ours, theirs = scores(driven, metric), scores(expert, metric)
             low, high = report.metric_interval(metric, ours)
             ratio, ratio_low, ratio_high = _against(metric, ratio_of_iqms, ours, theirs)
@@ -137,9 +137,9 @@ def figures(experiment: Experiment) -> pd.DataFrame:
     """
     plot.require_matplotlib()
     grid = [(*system, trajectories) for system, trajectories in itertools.product(FIGURES, TRAJECTORIES)]
-    cells = experiment.drive([*grid, EXPERT])
+    cells = experiment.drive([*grid, EXPERT_CELL])
     expert = cells[cells["learner"] == report.EXPERT]
-    for metric in METRICS:
+    for metric in PAPER_METRICS:
         reference = scores(expert, metric)
         curves = {
             ROWS[system]: np.array([
@@ -167,7 +167,7 @@ def scores(driven: pd.DataFrame, metric: str) -> Floats:
 
 def _paper(learner: str, layers: int, metric: str) -> float:
     """Return the paper's mean; NaN where it tells none."""
-    return dict(zip(METRICS, PAPER.get((learner, layers), ()), strict=False)).get(metric, np.nan)
+    return dict(zip(PAPER_METRICS, PAPER.get((learner, layers), ()), strict=False)).get(metric, np.nan)
 
 
 def _against(
@@ -189,10 +189,10 @@ _LABELS = {
 
 def _markdown(table: pd.DataFrame, n_seeds: int, n_episodes: int) -> str:
     """Return means, ratios of interquartile means to the expert's with intervals, and the paper's beside them."""
-    lines = [_line("", [*_LABELS.values(), "contacts"]), "| --- |" + " ---: |" * (len(METRICS) + 1)]
+    lines = [_line("", [*_LABELS.values(), "contacts"]), "| --- |" + " ---: |" * (len(PAPER_METRICS) + 1)]
     for (learner, layers), rows in table.groupby(["learner", "layers"], sort=False):
         system, figures = (learner, layers), rows.set_index("metric")
-        by_metric = figures.loc[list(METRICS)]
+        by_metric = figures.loc[list(PAPER_METRICS)]
         contacts = round(figures.loc[list(report.CONTACTS), "mean"].sum() * n_seeds * n_episodes)
         lines.append(_line(ROWS[system], [*map("{:.1f}".format, by_metric["mean"]), str(contacts)]))
         ratios = [_ratio(*row) for row in by_metric[["ratio", "ratio_low", "ratio_high"]].to_numpy()]

@@ -18,11 +18,11 @@ from rail_sumo import drivers, metrics
 from rail_sumo.config import Config
 from rail_sumo.errors import InputError
 from rail_sumo.highway.env import HighwayEnv
-from rail_sumo.policy import Policy, Shape, Whitening
-from rail_sumo.records import Floats, Trajectory
+from rail_sumo.policy import PolicyParameters
+from rail_sumo.records import Trajectory
 
 # What a traffic seed is for. Children of different purposes never meet, so no learner sees evaluation traffic.
-EVALUATION, TRAINING, DEMONSTRATION, EXPERT = range(4)
+EVALUATION, TRAINING, DEMONSTRATION, EXPERT_TRAINING = range(4)
 
 
 def traffic_seed(seed: int, *key: int) -> int:
@@ -30,22 +30,7 @@ def traffic_seed(seed: int, *key: int) -> int:
     return int(np.random.SeedSequence(seed, spawn_key=key).generate_state(1)[0] >> 1)
 
 
-@dataclass(frozen=True)
-class LearnedDriver:
-    """A supervisor by its parameters: what travels to a worker."""
-
-    theta: Floats
-    shape: Shape
-    whitening: Whitening
-    draws: bool = False
-    """Whether it draws actions with the policy's probabilities instead of taking the most probable."""
-
-    def policy(self) -> Policy:
-        """Return the callable supervisor."""
-        return Policy(self.theta, self.shape, self.whitening)
-
-
-Who = str | LearnedDriver | drivers.Expert
+Who = str | PolicyParameters | drivers.Expert
 """Who drives, as it travels to a worker: a driver's name, or parameters."""
 
 
@@ -88,9 +73,9 @@ def _drive(task: Task, driver: drivers.Driver) -> Trajectory:
 def _driver(task: Task) -> drivers.Driver:
     if isinstance(task.driver, str):
         return drivers.by_name(task.driver, task.config, task.seed)
-    if isinstance(task.driver, LearnedDriver):
+    if isinstance(task.driver, PolicyParameters):
         policy = task.driver.policy()
-        return drivers.Drawing(policy, task.seed) if task.driver.draws else drivers.Learned(policy)
+        return drivers.Sampling(policy, task.seed) if task.driver.samples else drivers.Learned(policy)
     return task.driver
 
 
@@ -98,7 +83,7 @@ WorkerCount = int | Literal["ray"]
 
 
 class Observer(Protocol):
-    """Is told how far long work has come."""
+    """Receives progress."""
 
     def start(self, work: str, total: int, done: int = 0) -> None:
         """Work of `total` parts begins, `done` of them already there."""
@@ -160,8 +145,8 @@ def workers(number: WorkerCount) -> Iterator[Workers]:
         return
     spawn = multiprocessing.get_context("spawn")
     executor = ProcessPoolExecutor(number, spawn, initializer=_begin)
-    strangers = set(multiprocessing.active_children())
-    with _deaf_to_ctrl_c():  # the workers inherit it, so none is interrupted while it starts
+    earlier_children = set(multiprocessing.active_children())
+    with _ignoring_ctrl_c():  # the workers inherit it, so none is interrupted while it starts
         for _ in range(number):
             executor.submit(int)  # each starts one
     try:
@@ -172,7 +157,7 @@ def workers(number: WorkerCount) -> Iterator[Workers]:
             "--workers 1 drives in one process and tells which"
         ) from None
     except BaseException:
-        for process in set(multiprocessing.active_children()) - strangers:  # another task may take minutes yet
+        for process in set(multiprocessing.active_children()) - earlier_children:  # another task may take minutes yet
             process.terminate()
         raise
     finally:
@@ -180,7 +165,7 @@ def workers(number: WorkerCount) -> Iterator[Workers]:
 
 
 @contextmanager
-def _deaf_to_ctrl_c() -> Iterator[None]:
+def _ignoring_ctrl_c() -> Iterator[None]:
     if threading.current_thread() is not threading.main_thread():  # which alone hears it
         yield
         return

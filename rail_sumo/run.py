@@ -81,7 +81,7 @@ def evaluate(
         episodes: how many; number i has the same traffic for every policy, and in every call with this seed.
         seed: of the traffic, which no training with any seed has met.
         workers: how many processes drive, or "ray". The tables do not depend on it.
-        observer: is told of every episode.
+        observer: called after every episode.
         fcd: a new folder for SUMO's floating-car data: the host, and who is within reach of its LIDAR, on every step.
             `pandas.read_parquet` reads the folder as one table, to which it adds `policy` and `episode`.
 

@@ -19,12 +19,11 @@ import safetensors.numpy
 from numpy.typing import NDArray
 from safetensors import SafetensorError, safe_open
 
-from rail_sumo.config import Config, difference, dumps, load
+from rail_sumo.config import Config, dumps, first_difference, load
 from rail_sumo.errors import InputError, ObservationError
 from rail_sumo.files import whole_file, whole_folder
 from rail_sumo.highway.observation import feature_names
-from rail_sumo.policy import Shape, Whitening
-from rail_sumo.rollout import LearnedDriver
+from rail_sumo.policy import PolicyParameters, Shape, Whitening
 
 CONFIG = "config.toml"
 POLICY = "policy.safetensors"
@@ -62,7 +61,7 @@ Row = Mapping[str, float]
 class Checkpoint:
     """Where training stands after an iteration; without progress, at the clone."""
 
-    learned: LearnedDriver
+    learned: PolicyParameters
     memory: Tensors = field(default_factory=dict)
     """All else that the learner's next iteration depends on, by names of its own; its judge's begin with `JUDGES`."""
     progress: tuple[Row, ...] = ()
@@ -91,7 +90,7 @@ class RunDirectory:
 
     @classmethod
     def create(
-        cls, path: Path, config: Config, seed: int, inputs: Mapping[str, str], clone: LearnedDriver
+        cls, path: Path, config: Config, seed: int, inputs: Mapping[str, str], clone: PolicyParameters
     ) -> "RunDirectory":
         """Lay out a run that starts from the clone. It appears under its name only once it is whole.
 
@@ -117,7 +116,7 @@ class RunDirectory:
         """The seed the run was started with."""
         return int(self._about["seed"])
 
-    def policy(self, world: Config) -> LearnedDriver:
+    def policy(self, world: Config) -> PolicyParameters:
         """Return the learned driver, to drive in a world that shows it what it was trained on.
 
         Raises:
@@ -125,10 +124,10 @@ class RunDirectory:
             InputError: the file is damaged.
         """
         learned, _, _ = _read_driver(self.path / POLICY)
-        apart = difference(self.config.sensing, world.sensing)
-        if apart:
+        mismatch = first_difference(self.config.sensing, world.sensing)
+        if mismatch:
             raise ObservationError(
-                f"policy '{self.path}' was trained with {apart}; leave [lidar] and [observation] as in "
+                f"policy '{self.path}' was trained with {mismatch}; leave [lidar] and [observation] as in "
                 f"'{self.path / CONFIG}'"
             )
         return learned
@@ -166,11 +165,11 @@ class RunDirectory:
                 done more iterations than it is to have.
         """
         started = {key: value for key, value in self.config.flat().items() if key not in MAY_CHANGE}
-        apart = difference(started | {"seed": self.seed}, config.flat() | {"seed": seed})
-        if apart:
+        mismatch = first_difference(started | {"seed": self.seed}, config.flat() | {"seed": seed})
+        if mismatch:
             raise InputError(
-                f"run directory '{self.path}' was started with {apart}; resume it as it was started, or start another "
-                f"with --out"
+                f"run directory '{self.path}' was started with {mismatch}; resume it as it was started, or start "
+                f"another with --out"
             )
         for key, checksum in self._about["inputs"].items():
             if inputs.get(key) != checksum:
@@ -211,18 +210,18 @@ def _csv(progress: tuple[Row, ...]) -> bytes:
     return text.getvalue().encode()
 
 
-def _driver_bytes(driver: LearnedDriver, about: dict[str, Any], memory: Tensors | None = None) -> bytes:
+def _driver_bytes(driver: PolicyParameters, about: dict[str, Any], memory: Tensors | None = None) -> bytes:
     tensors = {"theta": driver.theta, "whitening_mean": driver.whitening.mean, "whitening_std": driver.whitening.std}
     return _bytes(tensors | (memory or {}), about | {"hidden": driver.shape.hidden})
 
 
-def _read_driver(path: Path) -> tuple[LearnedDriver, Tensors, dict[str, Any]]:
+def _read_driver(path: Path) -> tuple[PolicyParameters, Tensors, dict[str, Any]]:
     """Return a file's driver, its other tensors, and what it says about itself."""
     tensors, about = _read(path)
     try:
         shape = Shape(len(about["features"]), about["hidden"])
         whitening = Whitening(tensors.pop("whitening_mean"), tensors.pop("whitening_std"))
-        driver = LearnedDriver(tensors.pop("theta"), shape, whitening)
+        driver = PolicyParameters(tensors.pop("theta"), shape, whitening)
         driver.policy()
     except (KeyError, TypeError, ValueError) as error:
         raise _damaged(path, error) from None

@@ -21,7 +21,7 @@ from rail_sumo.records import Floats
 CONFIDENCE = 0.95
 N_RESAMPLES = 10_000
 DRAWN_AT_ONCE = 2**21
-"""So many scores are in memory at once, however many episodes there are."""
+"""At most this many scores are drawn at a time, to bound memory."""
 
 
 def iqm(scores: ArrayLike) -> Floats:

@@ -17,9 +17,9 @@ from rail_sumo.highway import demand
 from rail_sumo.highway.observation import feature_names
 from rail_sumo.highway.reward import total_reward
 from rail_sumo.imitation.demonstrations import Demonstrations
-from rail_sumo.policy import Shape, Whitening
+from rail_sumo.policy import PolicyParameters, Shape, Whitening
 from rail_sumo.records import Floats, Trajectory
-from rail_sumo.rollout import SILENT, TRAINING, LearnedDriver, Observer, Task, WorkerCount, Workers, traffic_seed
+from rail_sumo.rollout import SILENT, TRAINING, Observer, Task, WorkerCount, Workers, traffic_seed
 from rail_sumo.run_directory import JUDGES, Checkpoint, Row, RunDirectory, Tensors, require_new
 
 if TYPE_CHECKING:  # torch takes seconds to import, and not every command trains
@@ -34,7 +34,7 @@ PPO, MOMENTS = "ppo.", "moments."
 class Iteration:
     """What an iteration came to, whichever the learner."""
 
-    learned: LearnedDriver
+    learned: PolicyParameters
     memory: Tensors
     """All else that the next iteration depends on."""
     driven: list[Trajectory]
@@ -85,7 +85,7 @@ class Practice:
         self._world = run.config.practice(run.config.train.horizon_s)
 
     def pairs(
-        self, learner: LearnedDriver, perturbations: Floats, iteration: int, *, shared_traffic: bool = True
+        self, learner: PolicyParameters, perturbations: Floats, iteration: int, *, shared_traffic: bool = True
     ) -> tuple[list[Trajectory], list[Trajectory]]:
         """Drive theta plus and minus each perturbation, both on the same traffic unless told otherwise."""
         n = len(perturbations)
@@ -98,19 +98,19 @@ class Practice:
         driven = list(self._pool.map(rollout.drive, tasks))
         return driven[:n], driven[n:]
 
-    def sampled(self, learner: LearnedDriver, n_rollouts: int, iteration: int) -> list[Trajectory]:
-        """Drive by actions drawn with the policy's probabilities."""
-        drawing = replace(learner, draws=True)
-        return list(self._pool.map(rollout.drive, [self._task(drawing, iteration, i) for i in range(n_rollouts)]))
+    def sampled(self, learner: PolicyParameters, n_rollouts: int, iteration: int) -> list[Trajectory]:
+        """Drive by actions sampled with the policy's probabilities."""
+        sampling = replace(learner, samples=True)
+        return list(self._pool.map(rollout.drive, [self._task(sampling, iteration, i) for i in range(n_rollouts)]))
 
     def advised(
-        self, learner: LearnedDriver, adviser: drivers.Expert, n_rollouts: int, iteration: int
+        self, learner: PolicyParameters, adviser: drivers.Expert, n_rollouts: int, iteration: int
     ) -> list[tuple[Trajectory, NDArray[np.int64]]]:
         """Drive by the policy; beside each rollout, what the adviser would have decided."""
         tasks = [replace(self._task(learner, iteration, i), adviser=adviser) for i in range(n_rollouts)]
         return list(self._pool.map(rollout.drive_advised, tasks))
 
-    def _task(self, driver: LearnedDriver, iteration: int, number: int) -> Task:
+    def _task(self, driver: PolicyParameters, iteration: int, number: int) -> Task:
         return Task(driver, self._world, traffic_seed(self.run.seed, TRAINING, iteration, number))
 
 
@@ -123,7 +123,7 @@ def _rail(practice: Practice, checkpoint: Checkpoint, demonstrations: Demonstrat
         start.theta,
         demonstrations,
         search=run.config.search,
-        judge=paid_by(judge, run.config),
+        judge=judge_with_reward(judge, run.config),
         evaluate=lambda theta, perturbations, number: practice.pairs(
             replace(start, theta=theta), perturbations, number
         ),
@@ -237,7 +237,7 @@ def learner_of(config: Config) -> Learner:
     return LEARNERS[config.train.learner]
 
 
-def _start(config: Config, demonstrations: Demonstrations, seed: int) -> LearnedDriver:
+def _start(config: Config, demonstrations: Demonstrations, seed: int) -> PolicyParameters:
     """Return what the first iteration starts from: a clone, or for a learner without demonstrations a fresh network."""
     from rail_sumo.imitation import bc
 
@@ -246,7 +246,7 @@ def _start(config: Config, demonstrations: Demonstrations, seed: int) -> Learned
     cloning = config.cloning if learner_of(config).reads_demonstrations else untrained
     n_features = len(feature_names(config.lidar, config.observation))
     shape = Shape(n_features, config.policy.hidden if config.policy.layers == 2 else None)
-    return LearnedDriver(bc.clone(demonstrations, shape, whitening, cloning, seed), shape, whitening)
+    return PolicyParameters(bc.clone(demonstrations, shape, whitening, cloning, seed), shape, whitening)
 
 
 def judge_of(run: RunDirectory) -> "Judge":
@@ -261,8 +261,8 @@ def judge_of(run: RunDirectory) -> "Judge":
     return judge
 
 
-def paid_by(judge: "Judge", config: Config) -> "rail.Judge":
-    """Return who scores RAIL's rollouts: the judge, and the environment beside it if its reward has a weight."""
+def judge_with_reward(judge: "Judge", config: Config) -> "rail.Judge":
+    """Return what scores RAIL's rollouts: the judge, with the environment's reward added if that has a weight."""
     from rail_sumo.imitation.rewarded import Rewarded
 
     if not config.rail.reward_weight:

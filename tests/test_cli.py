@@ -8,8 +8,7 @@ import pytest
 from rail_sumo import cli, config, run
 from rail_sumo.errors import InputError
 from rail_sumo.highway.observation import feature_names
-from rail_sumo.policy import Shape, Whitening
-from rail_sumo.rollout import LearnedDriver
+from rail_sumo.policy import PolicyParameters, Shape, Whitening
 from rail_sumo.run_directory import PROGRESS_COLUMNS, Checkpoint, RunDirectory
 
 
@@ -189,7 +188,7 @@ def test_check_tells_the_edges_and_where_the_road_ends_too_soon(rail_sumo):
 def a_run(tmp_path):
     """A run directory of one iteration, started with other than the default configuration."""
     shape = Shape(48, 1)
-    clone = LearnedDriver(np.zeros(shape.size), shape, Whitening(np.zeros(48), np.ones(48)))
+    clone = PolicyParameters(np.zeros(shape.size), shape, Whitening(np.zeros(48), np.ones(48)))
     started = RunDirectory.create(tmp_path / "mine", config.load(None, ["search.noise_std=0.07"]), 4, {}, clone)
     started.save(Checkpoint(clone, {}, (dict.fromkeys(PROGRESS_COLUMNS, 1.0),)))
 

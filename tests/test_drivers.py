@@ -176,7 +176,7 @@ def test_the_expert_may_decide_more_often_than_it_was_trained_to():
 def test_a_drawing_driver_decides_with_softmax_probabilities_and_by_its_seed():
     outputs = np.array([1.0, 0.0, -1.0, 0.5, 2.0])
     policy = SimpleNamespace(outputs=lambda observation: outputs)
-    driver, same, other = (drivers.Drawing(policy, seed) for seed in (1, 1, 2))
+    driver, same, other = (drivers.Sampling(policy, seed) for seed in (1, 1, 2))
     drawn = [driver.decide(None, None) for _ in range(20_000)]
     expected = np.exp(outputs) / np.exp(outputs).sum()
     np.testing.assert_allclose(np.bincount(drawn, minlength=5) / len(drawn), expected, atol=0.015)  # 4 sigma

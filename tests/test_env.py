@@ -473,7 +473,9 @@ def test_who_drives_on_a_road_beside_the_hosts_is_not_overtaken(make, two_roads)
 def test_the_check_tells_of_a_demand_that_never_comes_along_the_course(two_roads):
     assert trial.check(two_roads("beside"))[1] == []
     (told,) = trial.check(two_roads("highway"))[1]
-    assert told.startswith("when the host enters, nobody of the demand drives along its course; set network.course")
+    assert told.startswith(
+        "when the host enters, no vehicle of the demand is on its course or on the way to it; lead netw"
+    )
 
 
 def test_the_check_tries_the_demand(tmp_path):
@@ -487,7 +489,7 @@ def test_a_check_that_fails_leaves_no_simulation_open(tmp_path):
     late = tmp_path / "late.rou.xml"
     late.write_text('<routes><vehicle id="v" depart="500"><route edges="highway"/></vehicle></routes>')
     for _ in range(2):
-        with pytest.raises(InputError, match="nobody is on the road at 60 s"):
+        with pytest.raises(InputError, match="no vehicle of the demand is on the road at 60 s"):
             trial.check(world(traffic={"routes": (str(late),)}))
 
 
@@ -945,7 +947,7 @@ def test_a_demand_that_begins_later_needs_to_be_told_when(make, tmp_path):
         '<routes><flow id="f" begin="25200" end="25500" period="4" departLane="random"><route edges="highway"/></flow>'
         "</routes>"
     )
-    with pytest.raises(InputError, match=r"^of the demand nobody is on the road at 60 s; set traffic\.begin_s"):
+    with pytest.raises(InputError, match=r"^no vehicle of the demand is on the road at 60 s; set traffic\.begin_s"):
         drive(make(world(traffic={"routes": (str(late),)})), always(KEEP))
     env = make(world(traffic={"routes": (str(late),), "begin_s": 25200.0}))
     env.reset(seed=1)

@@ -8,7 +8,7 @@ from hypothesis import strategies as st
 from toy import EXPERT_ACTIONS, N_DECISIONS, SHAPE, WHITENING, agreement, episode, expert, sights, wrong_everywhere
 
 from rail_sumo import config
-from rail_sumo.drivers import Drawing
+from rail_sumo.drivers import Sampling
 from rail_sumo.errors import InputError
 from rail_sumo.imitation import gail
 from rail_sumo.imitation.discriminator import Judge, JudgeLoss
@@ -24,7 +24,7 @@ def ppo(theta=None, seed=0, shape=SHAPE, whitening=WHITENING):
 
 
 def sample(theta, iteration):
-    driver = Drawing(Policy(theta, SHAPE, WHITENING), seed=iteration)
+    driver = Sampling(Policy(theta, SHAPE, WHITENING), seed=iteration)
     return [
         episode(seen, [driver.decide(sight, None) for sight in seen])
         for seen in (sights(1000 * iteration + i) for i in range(4))

@@ -5,8 +5,7 @@ from scipy import stats
 from rail_sumo import plot
 from rail_sumo.config import Config
 from rail_sumo.errors import InputError
-from rail_sumo.policy import Shape, Whitening
-from rail_sumo.rollout import LearnedDriver
+from rail_sumo.policy import PolicyParameters, Shape, Whitening
 from rail_sumo.run_directory import PROGRESS_COLUMNS, Checkpoint, RunDirectory
 
 N_FEATURES = 48
@@ -18,7 +17,7 @@ def run(tmp_path):
 
     def make(name, values):
         shape = Shape(N_FEATURES, 2)
-        clone = LearnedDriver(np.zeros(shape.size), shape, Whitening(np.zeros(N_FEATURES), np.ones(N_FEATURES)))
+        clone = PolicyParameters(np.zeros(shape.size), shape, Whitening(np.zeros(N_FEATURES), np.ones(N_FEATURES)))
         directory = RunDirectory.create(tmp_path / name, Config(), 0, {}, clone)
         rows = tuple(
             {column: float(value) for column in PROGRESS_COLUMNS}

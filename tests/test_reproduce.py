@@ -15,7 +15,7 @@ from rail_sumo import config, experiment, plot, reproduce, run, training
 from rail_sumo.config import dumps
 from rail_sumo.errors import InputError
 from rail_sumo.experiment import Experiment
-from rail_sumo.rollout import LearnedDriver
+from rail_sumo.policy import PolicyParameters
 from rail_sumo.run_directory import PROGRESS, Checkpoint, RunDirectory
 
 N_EPISODES = 4
@@ -45,7 +45,7 @@ def done(monkeypatch):
         ((name, driver),) = policies.items()
         done.append(("evaluate", name, seed))
         speed = {"rule": 65.0, "sumo": 63.0, "expert": 70.0}.get(name)
-        if isinstance(driver, LearnedDriver):
+        if isinstance(driver, PolicyParameters):
             speed = 60.0 + 2.0 * world.policy.layers + 0.1 * world.train.trajectories
         rows = [{**ROW, "policy": name, "episode": i, "seed": 100 * seed + i, "speed_kmh": speed + i} for i in range(4)]
         table = run.report.episodes(rows)

@@ -19,8 +19,8 @@ from rail_sumo import config, drivers, rollout
 from rail_sumo.config import Config
 from rail_sumo.errors import InputError
 from rail_sumo.highway.env import HighwayEnv
-from rail_sumo.policy import Shape, Whitening
-from rail_sumo.rollout import LearnedDriver, Task, drive, traffic_seed, workers
+from rail_sumo.policy import PolicyParameters, Shape, Whitening
+from rail_sumo.rollout import Task, drive, traffic_seed, workers
 
 MINUTE = Config(episode=config.Episode(course_m=math.inf, duration_s=60.0))
 
@@ -29,7 +29,7 @@ def learned(seed):
     """A policy of random weights that decides differently from seed to seed."""
     shape = Shape(48, 8)
     theta = np.random.default_rng(seed).normal(size=shape.size)
-    return LearnedDriver(theta, shape, Whitening(np.full(48, 10.0), np.full(48, 20.0)))
+    return PolicyParameters(theta, shape, Whitening(np.full(48, 10.0), np.full(48, 20.0)))
 
 
 TASKS = [
@@ -138,7 +138,7 @@ def test_a_users_mistake_in_a_worker_comes_back_as_it_is(pool):
 def test_a_failed_episode_leaves_the_process_free_for_the_next():
     with pytest.raises(InputError):
         drive(Task("nobody", MINUTE, 1))
-    wrong = LearnedDriver(np.zeros(10), Shape(1, None), Whitening(np.zeros(1), np.ones(1)))
+    wrong = PolicyParameters(np.zeros(10), Shape(1, None), Whitening(np.zeros(1), np.ones(1)))
     with pytest.raises(ValueError, match="matmul"):
         drive(Task(wrong, MINUTE, 1))
     assert drive(TASKS[0]).end_reason == "duration"
@@ -189,7 +189,7 @@ def test_with_ray_the_map_is_ordered_too(monkeypatch):
         assert list(cluster.map(abs, range(-20, 0))) == list(range(20, 0, -1))
 
 
-PURPOSES = (rollout.EVALUATION, rollout.TRAINING, rollout.DEMONSTRATION, rollout.EXPERT)
+PURPOSES = (rollout.EVALUATION, rollout.TRAINING, rollout.DEMONSTRATION, rollout.EXPERT_TRAINING)
 
 
 def test_traffic_seeds_of_different_purposes_runs_iterations_and_directions_all_differ():

@@ -17,6 +17,7 @@ from rail_sumo.errors import InputError
 from rail_sumo.highway.reward import total_reward
 from rail_sumo.highway.simulation import HOST
 from rail_sumo.imitation.demonstrations import Demonstrations
+from rail_sumo.policy import PolicyParameters
 from rail_sumo.records import Trajectory
 from rail_sumo.run_directory import CHECKPOINT, CLONE, JUDGE, POLICY, PROGRESS, PROGRESS_COLUMNS, RunDirectory
 
@@ -26,7 +27,7 @@ N_FEATURES = 8
 def drive(task):
     """Stands in for SUMO: what is seen follows from the traffic seed, what is decided from the driver."""
     observations = np.random.default_rng(task.seed).normal(size=(20, N_FEATURES))
-    if isinstance(task.driver, rollout.LearnedDriver):
+    if isinstance(task.driver, PolicyParameters):
         actions = np.array([task.driver.policy()(observation) for observation in observations])
     else:
         actions = np.where(observations[:, 0] > 0, 1, 2)
@@ -399,12 +400,12 @@ def test_an_expert_that_cannot_be_asked_is_refused_before_there_is_a_run(small, 
 
 
 def test_gail_drives_by_chance_and_rail_does_not(small, driven, tmp_path):
-    for learner, draws in (("gail", True), ("rail", False)):
+    for learner, samples in (("gail", True), ("rail", False)):
         driven.clear()
         train = small.train.model_copy(update={"learner": learner})
         run.train(small.model_copy(update={"train": train}), tmp_path / learner, seed=1)
         practised = [task for task in driven if task.config.episode.duration_s == 20.0]
-        assert {task.driver.draws for task in practised} == {draws}
+        assert {task.driver.samples for task in practised} == {samples}
 
 
 def test_a_search_on_the_environments_reward_reads_no_demonstrations(small, driven, tmp_path):

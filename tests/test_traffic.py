@@ -9,7 +9,7 @@ import pytest
 from rail_sumo import config
 from rail_sumo.highway import road
 from rail_sumo.highway.simulation import HOST, Simulation
-from rail_sumo.highway.traffic import CLEAR_OF_CHANGE_M, START_GAP_M, Demand, MovingWindow
+from rail_sumo.highway.traffic import CLEAR_OF_CHANGE_M, START_GAP_M, MovingWindow, UserTraffic
 from rail_sumo.records import KMH, Command
 
 START_M = 200.0
@@ -240,7 +240,7 @@ def test_a_users_own_traffic_is_left_alone():
         simulation.add_vehicle("mine", ["highway"], lane=0, front_m=400.0, desired_speed_mps=15.0)
         simulation.wait_for_host()
         for _ in range(30):
-            Demand().update(elapsed_s=2.0, host_changing_lane=False)
+            UserTraffic().update(elapsed_s=2.0, host_changing_lane=False)
             simulation.run(Command(20.0, steps=20))
             assert simulation.on_road() == {HOST, "mine"}
         assert libsumo.vehicle.getLaneIndex("mine") == 0

@@ -83,7 +83,7 @@ class Adas:
         that is under way already. Near the end of a lane that does not lead on, the layer leaves it of its own accord
         as soon as it can.
         """
-        came = action
+        carried_out = action
         step = self._config.speed_step_kmh / KMH
         if action is MetaAction.ACCELERATE:
             self._set_speed = self._clip(host.speed_mps + step)
@@ -92,11 +92,11 @@ class Adas:
         elif action is not MetaAction.KEEP and not self._steer(
             LEFT if action is MetaAction.LEFT else RIGHT, host, gaps
         ):
-            came = MetaAction.KEEP
+            carried_out = MetaAction.KEEP
         way_on = _way_on(host)
         if way_on is not None and self._side is None and self._open(way_on, host, gaps):
             self._begin(way_on, host)
-        return came
+        return carried_out
 
     def command(self, host: HostState, gaps: Callable[[int], Gaps], *, steps: int) -> Command:
         """Return what to do next, for at most `steps` steps: as many as need no fresh look."""

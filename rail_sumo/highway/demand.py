@@ -10,7 +10,7 @@ from rail_sumo import assets
 from rail_sumo.errors import InputError
 from rail_sumo.highway.sumo_xml import UNREADABLE, opened, state_of
 
-TRAFFIC = ("vehicle", "flow", "trip")
+TRAFFIC_ELEMENTS = ("vehicle", "flow", "trip")
 """Elements that put somebody on the road."""
 
 ADDITIONAL = frozenset({
@@ -58,7 +58,7 @@ def check(routes: Iterable[str], additional: Iterable[str] = ()) -> tuple[tuple[
                 f"demand '{path}' has <{misplaced[0]}>, which SUMO reads from additional files only; give its file by "
                 f"--set 'traffic.additional=[\"{path.name}\"]'"
             )
-    if demand and not any(contents[path].elements.intersection(TRAFFIC) for path in demand):
+    if demand and not any(contents[path].elements.intersection(TRAFFIC_ELEMENTS) for path in demand):
         names = "', '".join(map(str, demand))
         raise InputError(f"demand '{names}' has no <vehicle>, <flow> or <trip>; rail-sumo needs traffic to drive in")
     return demand, beside
@@ -86,7 +86,7 @@ def _content(path: Path, state: tuple[int, int]) -> _Content:
                 name = element.get("id", "")
                 if name.startswith(OURS):
                     taken.append(name)
-                if element.tag in TRAFFIC:
+                if element.tag in TRAFFIC_ELEMENTS:
                     departs_s = _seconds(element.get("depart") or element.get("begin") or "", otherwise=latest_s)
                     if departs_s < latest_s:
                         out_of_order.append(name)

@@ -19,7 +19,7 @@ from rail_sumo.highway.observation import Layout
 from rail_sumo.highway.passing import NEAR_M, PassCounter
 from rail_sumo.highway.reward import reward
 from rail_sumo.highway.simulation import HOST, Simulation
-from rail_sumo.highway.traffic import Demand, MovingWindow, Traffic
+from rail_sumo.highway.traffic import MovingWindow, Traffic, UserTraffic
 from rail_sumo.records import KMH, SECONDS_PER_STEP, EndReason, Floats, Gaps, HostState, MetaAction, Scene, Trajectory
 
 MARGIN_M = 50.0
@@ -118,11 +118,11 @@ class HighwayEnv(gymnasium.Env[Floats, np.int64]):
             simulation.run_without_host(traffic.warm_up_s)
             if not simulation.on_road():
                 raise InputError(
-                    f"of the demand nobody is on the road at {traffic.begin_s + traffic.warm_up_s:.0f} s; set "
-                    f"traffic.begin_s to when somebody is, or lengthen traffic.warm_up_s"
+                    f"no vehicle of the demand is on the road at {traffic.begin_s + traffic.warm_up_s:.0f} s; set "
+                    f"traffic.begin_s to a time with traffic, or lengthen traffic.warm_up_s"
                 )
         simulation.add_host(edges, lane=lane, front_m=place[1], speed_mps=adas.start_speed_kmh / KMH)
-        self._traffic: Traffic = Demand()
+        self._traffic: Traffic = UserTraffic()
         if not self._demand:
             self._traffic = MovingWindow(
                 simulation, self._road, traffic, host_s_m=self._start_m, host_lane=lane, farthest_m=farthest_m, rng=rng
@@ -242,7 +242,7 @@ class HighwayEnv(gymnasium.Env[Floats, np.int64]):
         return self._end is not None
 
     @property
-    def demand(self) -> tuple[Path, ...]:
+    def demand_files(self) -> tuple[Path, ...]:
         """The files of the user's own demand; none for the moving window."""
         return self._demand
 

@@ -34,7 +34,7 @@ class PassCounter:
 
         Args:
             scene: what is around the host now.
-            counts: whether a vehicle does: one on a road beside the host's is none to be overtaken.
+            counts: whether a vehicle counts; one on a parallel road does not.
         """
         heading = scene.heading_rad[0]
         east, north = scene.x_m - scene.x_m[0], scene.y_m - scene.y_m[0]

@@ -27,7 +27,7 @@ NARROWEST_LANE_M = 2.4
 SHORT_EDGE_M = 42.0
 """How far a car at 80 km/h drives while it changes lanes, 3.2 m at 1.7 m/s."""
 
-LEFT, RIGHT = "changeLeft", "changeRight"
+CHANGE_LEFT, CHANGE_RIGHT = "changeLeft", "changeRight"
 """The attributes of a lane that list who may change from it."""
 
 FORESIGHT_M = 500.0
@@ -193,7 +193,7 @@ class _Reader(sumolib.net.NetReader):
     def startElement(self, name: str, attrs: Any) -> None:
         self.is_left_hand = self.is_left_hand or (name == "net" and attrs.get("lefthand") == "true")
         super().startElement(name, attrs)
-        for side in (LEFT, RIGHT) if name == "lane" else ():
+        for side in (CHANGE_LEFT, CHANGE_RIGHT) if name == "lane" else ():
             if side in attrs:
                 self._currentLane.setParam(side, attrs[side])
 
@@ -267,8 +267,8 @@ def _edge(edge: Any, leads_on_m: tuple[float, ...], limits_ahead: tuple[tuple[fl
         limit_mps=_limit_mps(edge),
         limits_ahead=limits_ahead,
         lane_widths_m=widths,
-        to_left_m=(*(m * _may_cross(lane, LEFT) for m, (lane, _) in zip(apart, pairs, strict=True)), 0.0),
-        to_right_m=(0.0, *(m * _may_cross(lane, RIGHT) for m, (_, lane) in zip(apart, pairs, strict=True))),
+        to_left_m=(*(m * _may_cross(lane, CHANGE_LEFT) for m, (lane, _) in zip(apart, pairs, strict=True)), 0.0),
+        to_right_m=(0.0, *(m * _may_cross(lane, CHANGE_RIGHT) for m, (_, lane) in zip(apart, pairs, strict=True))),
         leads_on_m=leads_on_m,
         first_lane=lanes[0].getIndex(),
     )

@@ -27,7 +27,7 @@ class Traffic(Protocol):
         """Let vehicles come and go, and have some of them change lanes."""
 
 
-class Demand:
+class UserTraffic:
     """The user's own vehicles, from route files; SUMO drives them and nothing is added."""
 
     def update(self, *, elapsed_s: float, host_changing_lane: bool) -> None:

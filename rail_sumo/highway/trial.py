@@ -19,7 +19,12 @@ def check(world: Config) -> tuple[Road, list[str]]:
     course, env = road.load(world.network.file, world.network.course), HighwayEnv(world)
     try:
         env.reset(seed=0)
-        return course, [*_shortness(world, env), *road.warnings(course), *demand.warnings(env.demand), *_solitude(env)]
+        return course, [
+            *_shortness(world, env),
+            *road.warnings(course),
+            *demand.warnings(env.demand_files),
+            *_solitude(env),
+        ]
     finally:
         env.close()
 
@@ -34,8 +39,8 @@ def _shortness(world: Config, env: HighwayEnv) -> Iterator[str]:
 
 
 def _solitude(env: HighwayEnv) -> Iterator[str]:
-    if env.demand and env.is_alone:
+    if env.demand_files and env.is_alone:
         yield (
-            "when the host enters, nobody of the demand drives along its course; set network.course to where they "
-            "drive, or traffic.begin_s to when"
+            "when the host enters, no vehicle of the demand is on its course or on the way to it; lead network.course "
+            "where they drive, or change traffic.begin_s"
         )

@@ -93,7 +93,13 @@ def train(
         seed: of directions. Every iteration draws from a child of its own.
         first_iteration: the number of the first iteration yielded.
     """
-    ars = RandomSearch(theta, **search.knobs)
+    ars = RandomSearch(
+        theta,
+        n_directions=search.n_directions,
+        n_top=search.kept,
+        step_size=search.step_size,
+        noise_std=search.noise_std,
+    )
     as_they_are = Moments.none(len(moments.mean)).whitening
     for iteration in itertools.count(first_iteration):
         deltas = ars.ask(np.random.default_rng(np.random.SeedSequence(seed, spawn_key=(*b"ars", iteration))))

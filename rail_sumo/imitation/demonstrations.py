@@ -10,7 +10,7 @@ import pyarrow as pa
 import pyarrow.parquet as pq
 from numpy.typing import NDArray
 
-from rail_sumo.config import difference, recorded
+from rail_sumo.config import first_difference, recorded
 from rail_sumo.errors import InputError
 from rail_sumo.files import whole_file
 from rail_sumo.policy import N_ACTIONS
@@ -169,9 +169,9 @@ def _check_recording(path: Path, table: pa.Table, demonstrating: Mapping[str, ob
         recording = recorded(about["config"]).demonstrating if "config" in about else {}
     except (ValueError, AttributeError, TypeError) as error:
         raise InputError(f"{_named(path)} tell of their recording what cannot be read ({error}); {_AGAIN}") from None
-    apart = difference(recording, demonstrating)
-    if apart:
-        raise InputError(f"{_named(path)} were recorded with {apart}; set it as it was, or {_AGAIN}")
+    mismatch = first_difference(recording, demonstrating)
+    if mismatch:
+        raise InputError(f"{_named(path)} were recorded with {mismatch}; set it as it was, or {_AGAIN}")
 
 
 def _check_layout(path: Path, columns: Sequence[str], features: Sequence[str]) -> None:

@@ -72,7 +72,13 @@ def train(
             iteration k takes theta, the judge as it then was, and `first_iteration` = k + 1; the result is the same.
         first_iteration: the number of the first iteration yielded.
     """
-    ars = RandomSearch(theta, **search.knobs)
+    ars = RandomSearch(
+        theta,
+        n_directions=search.n_directions,
+        n_top=search.kept,
+        step_size=search.step_size,
+        noise_std=search.noise_std,
+    )
     for iteration in itertools.count(first_iteration):
         rng = np.random.default_rng(np.random.SeedSequence(seed, spawn_key=(*b"rail", iteration)))
         deltas = ars.ask(rng)  # line 2
