@@ -4,6 +4,7 @@ import hashlib
 import json
 import tomllib
 from functools import cache
+from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
 
 from rail_sumo.errors import InputError, did_you_mean
@@ -67,6 +68,14 @@ def sha256(path: Path) -> str:
     """Return a file's SHA-256 in hexadecimal, as the manifest keeps it."""
     with path.open("rb") as stream:
         return hashlib.file_digest(stream, "sha256").hexdigest()
+
+
+def own_version() -> str:
+    """Return the version of rail-sumo that is at work."""
+    try:
+        return version("rail-sumo")
+    except PackageNotFoundError:
+        return "not installed"  # run from a checkout
 
 
 @cache

@@ -8,6 +8,7 @@ import shlex
 import sys
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager, nullcontext
+from importlib.metadata import version
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Literal
 
@@ -53,6 +54,20 @@ def main() -> None:
     except InputError as error:
         print(f"rail-sumo: {error}", file=sys.stderr)
         sys.exit(2)
+
+
+def _print_version(wanted: bool) -> None:
+    if wanted:
+        print(f"rail-sumo {assets.own_version()} with SUMO {version('libsumo')}")
+        raise typer.Exit
+
+
+@app.callback()
+def _options(
+    version: Annotated[
+        bool, typer.Option("--version", callback=_print_version, is_eager=True, help="Print the versions and exit.")
+    ] = False,
+) -> None: ...
 
 
 @app.command()
@@ -169,6 +184,17 @@ def reproduce(
     if what == "table1":
         print((out / "table1.md").read_text(encoding="utf-8"), end="")
     print(f"{what} in {out}")
+
+
+@app.command("config")
+def show_config(
+    config_file: ConfigFile = None,
+    network: NetworkFile = None,
+    routes: Routes = None,
+    overrides: Overrides = None,
+) -> None:
+    """Print every key with its value, as TOML; a file to start from."""
+    print(config.dumps(config.load(config_file, _overrides(network, routes, overrides))), end="")
 
 
 @expert.command("train")

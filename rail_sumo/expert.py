@@ -9,14 +9,13 @@ from pathlib import Path
 from safetensors.numpy import save_file
 
 from rail_sumo import report, run
-from rail_sumo.assets import EXPERT_DEMONSTRATIONS, EXPERT_POLICY, EXPERT_RECIPE, MANIFEST, sha256
+from rail_sumo.assets import EXPERT_DEMONSTRATIONS, EXPERT_POLICY, EXPERT_RECIPE, MANIFEST, own_version, sha256
 from rail_sumo.config import Config, dumps
 from rail_sumo.drivers import Expert
 from rail_sumo.files import check_folder, whole_folder
 from rail_sumo.highway.observation import feature_names
 from rail_sumo.records import Floats
 from rail_sumo.rollout import EXPERT_TRAINING, traffic_seed
-from rail_sumo.run_directory import own_version
 
 
 def train(

@@ -10,7 +10,6 @@ import io
 import json
 from collections.abc import Mapping
 from dataclasses import dataclass, field
-from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
 from typing import Any
 
@@ -19,6 +18,7 @@ import safetensors.numpy
 from numpy.typing import NDArray
 from safetensors import SafetensorError, safe_open
 
+from rail_sumo.assets import own_version
 from rail_sumo.config import Config, dumps, first_difference, load
 from rail_sumo.errors import InputError, ObservationError
 from rail_sumo.files import whole_file, whole_folder
@@ -232,14 +232,6 @@ def _bytes(tensors: Tensors, about: dict[str, Any]) -> bytes:
     # One metadata key: safetensors writes several in random order, and equal runs must give equal bytes.
     text = json.dumps(about | {"version": own_version()}, sort_keys=True)
     return safetensors.numpy.save(tensors, metadata={"rail_sumo": text})
-
-
-def own_version() -> str:
-    """Return the version of rail-sumo that is at work."""
-    try:
-        return version("rail-sumo")
-    except PackageNotFoundError:
-        return "not installed"  # run from a checkout
 
 
 def _read(path: Path) -> tuple[Tensors, dict[str, Any]]:

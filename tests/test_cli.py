@@ -1,5 +1,6 @@
 import subprocess
 import sys
+from importlib.metadata import version
 
 import numpy as np
 import pandas as pd
@@ -228,6 +229,19 @@ def test_networks_are_listed_with_their_length_and_lanes(rail_sumo):
     assert code == 0
     assert "highway5: road of 8,200 m with 5 lanes" in out
     assert "ring5: loop of " in out
+
+
+def test_the_configuration_printed_is_one_to_start_from(rail_sumo, tmp_path):
+    code, printed, _ = rail_sumo("config", "--set", "policy.layers=1", "--network", "ring5")
+    assert code == 0
+    (tmp_path / "mine.toml").write_text(printed)
+    assert config.load(tmp_path / "mine.toml") == config.load(None, ["policy.layers=1", "network.file=ring5"])
+    assert rail_sumo("config", "mine.toml") == (0, printed, "")
+
+
+def test_the_versions_are_told():
+    told = subprocess.run([sys.executable, "-m", "rail_sumo", "--version"], check=True, capture_output=True, text=True)
+    assert told.stdout == f"rail-sumo {version('rail-sumo')} with SUMO {version('libsumo')}\n"
 
 
 def test_help_and_rollout_workers_import_nothing_slow():

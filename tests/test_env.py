@@ -119,6 +119,15 @@ def named(env, observation):
     return dict(zip(feature_names(env.config.lidar, env.config.observation), observation.tolist(), strict=True))
 
 
+def test_the_last_step_tells_how_the_episode_went(make):
+    env = make(world(episode={"duration_s": 3.0}))
+    env.reset(seed=UNSEEN)
+    told = [env.step(KEEP)[4] for _ in range(3)]
+    assert told[:2] == [{}, {}]
+    assert told[2]["end_reason"] == "duration"
+    assert_same(told[2]["trajectory"], env.trajectory())
+
+
 # Under the tools of others.
 
 

@@ -132,7 +132,10 @@ class HighwayEnv(gymnasium.Env[Floats, np.int64]):
             simulation.hand_over()
 
     def step(self, action: int | np.int64) -> tuple[Floats, float, bool, bool, dict[str, Any]]:
-        """Take one decision and drive until the next falls due."""
+        """Take one decision and drive until the next falls due.
+
+        At the end of an episode `info` holds its `end_reason` and its whole `trajectory` (`records.Trajectory`).
+        """
         simulation = self._under_way()
         before = (self._overtakes, self._overtaken, self._adas.refused_decisions)
         observation, driven = self.drive(int(action))
@@ -146,7 +149,8 @@ class HighwayEnv(gymnasium.Env[Floats, np.int64]):
             collisions=int(self._end == "collision"),
         )
         crashed = self._end == "collision"
-        return observation, earned, crashed, self._end is not None and not crashed, {}
+        info = {"end_reason": self._end, "trajectory": self.trajectory()} if self.is_over else {}
+        return observation, earned, crashed, self.is_over and not crashed, info
 
     @sumo_errors.as_input_errors()
     def drive(self, action: int) -> tuple[Floats, int]:
