@@ -1,12 +1,18 @@
 import itertools
 import random
 import re
+import xml.etree.ElementTree as ElementTree
 from itertools import product
 
 import numpy as np
 import pytest
 import torch
+from driving import MERGE, Watched, world
 from hypothesis import settings
+
+from rail_sumo import assets
+from rail_sumo.highway import env as env_module
+from rail_sumo.highway.env import HighwayEnv
 
 settings.register_profile("patient", deadline=None)  # a busy machine is no failure
 settings.load_profile("patient")
@@ -84,3 +90,77 @@ def network(tmp_path):
         return str(path)
 
     return write
+
+
+@pytest.fixture
+def make():
+    """Make environments; only the last one has a simulation, and none is left open."""
+    made = []
+
+    def make(config=None, **arguments):
+        for env in made:
+            env.close()
+        made.append(HighwayEnv(config or world(), **arguments))
+        return made[-1]
+
+    yield make
+    for env in made:
+        env.close()
+
+
+@pytest.fixture
+def watched(monkeypatch):
+    """Every simulation that an environment opens is watched; `watched()` is the latest."""
+    monkeypatch.setattr(env_module, "Simulation", Watched)
+    return lambda: Watched.latest
+
+
+@pytest.fixture
+def outputs(monkeypatch, tmp_path):
+    """SUMO's own account of every episode; a function that reads the elements of one file after `close`."""
+    options = []
+    for kind in ("lanechange", "collision"):
+        options += [f"--{kind}-output", str(tmp_path / f"{kind}.xml")]
+    monkeypatch.setattr(
+        env_module, "Simulation", lambda *given, **named: Watched(*given, **named | {"outputs": options})
+    )
+    return lambda kind: list(ElementTree.parse(tmp_path / f"{kind}.xml").getroot())
+
+
+@pytest.fixture
+def two_roads(tmp_path):
+    """Two roads 35 m apart with slow cars on one, `beside`; on the other, `highway`, nobody drives."""
+    text = assets.network("highway3").read_text()
+    edges = text[text.index("<edge") : text.index("</edge>") + len("</edge>")]
+    beside = edges.replace("highway", "beside").replace("west", "west2").replace("east", "east2")
+    for left, right in ((",-3.20", ",-38.20"), (",0.00", ",-35.00"), (",3.20", ",-31.80")):
+        beside = beside.replace(left, right)
+    junctions = text[text.index("<junction") : text.index("</net>")]
+    more = junctions.replace("highway", "beside").replace('"west"', '"west2"').replace('"east"', '"east2"')
+    network, demand = tmp_path / "two.net.xml", tmp_path / "slow.rou.xml"
+    network.write_text(text.replace(edges, edges + beside).replace(junctions, junctions + more))
+    demand.write_text(
+        '<routes><route id="r" edges="beside"/><vType id="slow" maxSpeed="8"/>'
+        '<flow id="f" type="slow" route="r" begin="0" end="400" period="5" departLane="random"/></routes>'
+    )
+
+    def along(road):
+        network_, traffic = {"file": str(network), "course": (road,)}, {"routes": (str(demand),), "warm_up_s": 200.0}
+        return world(network=network_, traffic=traffic, episode={"course_m": 7222.0})
+
+    return along
+
+
+@pytest.fixture
+def merge(tmp_path):
+    path = tmp_path / "merge.net.xml"
+    path.write_text(MERGE)
+    return {"file": str(path)}
+
+
+@pytest.fixture
+def soon_narrow(tmp_path):
+    """Three lanes, the right one of which ends 100 m ahead of the host's start."""
+    path = tmp_path / "soon.net.xml"
+    path.write_text(re.sub(r'(<lane id="wide.*?)length="996.00"', r'\1length="300.00"', MERGE))
+    return {"file": str(path)}

@@ -1,118 +1,36 @@
 import dataclasses
 import math
-import re
-import signal
-import xml.etree.ElementTree as ElementTree
 
 import gymnasium
 import libsumo
 import numpy as np
 import pytest
 import stable_baselines3
+from driving import (
+    ACCELERATE,
+    DECELERATE,
+    EMPTY,
+    KEEP,
+    LANE_M,
+    LEFT,
+    RIGHT,
+    UNSEEN,
+    Watched,
+    always,
+    assert_same,
+    at_random,
+    drive,
+    world,
+)
 from gymnasium.utils.env_checker import check_env
 
-from rail_sumo import assets
-from rail_sumo.config import validate
 from rail_sumo.errors import InputError
 from rail_sumo.highway import env as env_module
-from rail_sumo.highway import trial
 from rail_sumo.highway.env import HighwayEnv
 from rail_sumo.highway.observation import feature_names
 from rail_sumo.highway.reward import reward, total_reward
-from rail_sumo.highway.simulation import HOST, TRAFFIC_TYPE, Simulation
+from rail_sumo.highway.simulation import HOST, TRAFFIC_TYPE
 from rail_sumo.records import KMH, MetaAction
-
-KEEP, ACCELERATE, DECELERATE, LEFT, RIGHT = MetaAction
-LANE_M = 3.2
-UNSEEN = 1_900_000_000
-"""Traffic seeds from here on: beyond those anybody trains or tunes on by hand."""
-
-
-def world(**sections):
-    """The default world for 60 s with some slow vehicles in it, changed by section."""
-    tree = {"episode": {"course_m": math.inf, "duration_s": 60.0}, "traffic": {"speed_low_kmh": 40.0}}
-    return validate({**tree, **{name: tree.get(name, {}) | changes for name, changes in sections.items()}})
-
-
-EMPTY = {"vehicles": 0}
-
-
-@pytest.fixture
-def make():
-    """Make environments; only the last one has a simulation, and none is left open."""
-    made = []
-
-    def make(config=None, **arguments):
-        for env in made:
-            env.close()
-        made.append(HighwayEnv(config or world(), **arguments))
-        return made[-1]
-
-    yield make
-    for env in made:
-        env.close()
-
-
-class Watched(Simulation):
-    """Keeps what an onlooker sees after every step."""
-
-    latest: "Watched"
-
-    def __init__(self, *arguments, **named):
-        super().__init__(*arguments, **named)
-        Watched.latest = self
-        self.scenes = []
-
-    def _step(self):
-        super()._step()
-        self.scenes.append(self.scene())
-
-
-@pytest.fixture
-def watched(monkeypatch):
-    """Every simulation that an environment opens is watched; `watched()` is the latest."""
-    monkeypatch.setattr(env_module, "Simulation", Watched)
-    return lambda: Watched.latest
-
-
-@pytest.fixture
-def outputs(monkeypatch, tmp_path):
-    """SUMO's own account of every episode; a function that reads the elements of one file after `close`."""
-    options = []
-    for kind in ("lanechange", "collision"):
-        options += [f"--{kind}-output", str(tmp_path / f"{kind}.xml")]
-    monkeypatch.setattr(
-        env_module, "Simulation", lambda *given, **named: Watched(*given, **named | {"outputs": options})
-    )
-    return lambda kind: list(ElementTree.parse(tmp_path / f"{kind}.xml").getroot())
-
-
-def at_random(seed):
-    rng = np.random.default_rng(seed)
-    return lambda env: int(rng.integers(5))
-
-
-def always(action):
-    return lambda env: action
-
-
-def in_turn(*actions):
-    """These decisions one after the other, then KEEP."""
-    left = list(actions)
-    return lambda env: left.pop(0) if left else KEEP
-
-
-def drive(env, decide, seed=7):
-    env.reset(seed=seed)
-    while not env.is_over:
-        env.drive(decide(env))
-    return env.trajectory()
-
-
-def assert_same(one, other):
-    for field in dataclasses.fields(one):
-        mine, theirs = getattr(one, field.name), getattr(other, field.name)
-        assert np.array_equal(mine, theirs), field.name
 
 
 def named(env, observation):
@@ -404,104 +322,6 @@ def test_the_duration_ends_the_episode(make):
     assert (driven.end_reason, len(driven.lane_changing), len(driven.actions)) == ("duration", 120, 12)
 
 
-@pytest.fixture
-def short_road(tmp_path):
-    """Three lanes of so many metres."""
-
-    def write(length_m):
-        path = tmp_path / "short.net.xml"
-        path.write_text(assets.network("highway3").read_text().replace("8200.00", f"{length_m:.2f}"))
-        return {"file": str(path)}
-
-    return write
-
-
-@pytest.mark.parametrize("decision_period_s", [0.5, 1.0, 2.0])
-@pytest.mark.parametrize("max_speed_kmh", [80.0, 130.0])
-def test_the_road_ends_the_episode_before_the_host_runs_off_it(make, short_road, decision_period_s, max_speed_kmh):
-    config = world(
-        network=short_road(1200.0),
-        episode={"decision_period_s": decision_period_s},
-        traffic=EMPTY,
-        adas={"max_speed_kmh": max_speed_kmh},
-    )
-    driven = drive(make(config), always(ACCELERATE))
-    travelled_m = driven.speed_mps[1:].sum() * 0.1
-    assert driven.end_reason == "end of road"
-    assert 900.0 - decision_period_s * max_speed_kmh / KMH < travelled_m < 1000.0  # it starts at 200 m
-
-
-def test_a_solid_line_is_not_crossed(make, watched, tmp_path):
-    """Between the two right lanes of three."""
-    path = tmp_path / "lined.net.xml"
-    text = assets.network("highway3").read_text()
-    text = text.replace('index="0"', 'index="0" changeLeft="emergency"')
-    path.write_text(text.replace('index="1"', 'index="1" changeRight="emergency"'))
-    config = world(network={"file": str(path)}, traffic={"vehicles": 6}, episode={"duration_s": 120.0})
-    rng = np.random.default_rng(0)
-    changes = []
-    for seed in range(6):
-        driven = drive(make(config), lambda env: rng.choice([LEFT, RIGHT]), UNSEEN + seed)
-        lanes = {round(scene.y_m[0] / LANE_M) for scene in watched().scenes}  # -1 the rightmost
-        assert lanes in ({-1}, {0, 1}, {0}, {1})
-        changes += [(driven.lane_changes > 0, lanes == {0, 1})]
-    assert changes.count((True, True)) > 1
-    assert changes.count((False, False)) > 0
-
-
-@pytest.fixture
-def two_roads(tmp_path):
-    """Two roads 35 m apart with slow cars on one, `beside`; on the other, `highway`, nobody drives."""
-    text = assets.network("highway3").read_text()
-    edges = text[text.index("<edge") : text.index("</edge>") + len("</edge>")]
-    beside = edges.replace("highway", "beside").replace("west", "west2").replace("east", "east2")
-    for left, right in ((",-3.20", ",-38.20"), (",0.00", ",-35.00"), (",3.20", ",-31.80")):
-        beside = beside.replace(left, right)
-    junctions = text[text.index("<junction") : text.index("</net>")]
-    more = junctions.replace("highway", "beside").replace('"west"', '"west2"').replace('"east"', '"east2"')
-    network, demand = tmp_path / "two.net.xml", tmp_path / "slow.rou.xml"
-    network.write_text(text.replace(edges, edges + beside).replace(junctions, junctions + more))
-    demand.write_text(
-        '<routes><route id="r" edges="beside"/><vType id="slow" maxSpeed="8"/>'
-        '<flow id="f" type="slow" route="r" begin="0" end="400" period="5" departLane="random"/></routes>'
-    )
-
-    def along(road):
-        network_, traffic = {"file": str(network), "course": (road,)}, {"routes": (str(demand),), "warm_up_s": 200.0}
-        return world(network=network_, traffic=traffic, episode={"course_m": 7222.0})
-
-    return along
-
-
-def test_who_drives_on_a_road_beside_the_hosts_is_not_overtaken(make, two_roads):
-    on = {road: drive(make(two_roads(road)), always(ACCELERATE)) for road in ("beside", "highway")}
-    assert on["beside"].overtakes > 5
-    assert on["highway"].overtakes == 0
-
-
-def test_the_check_tells_of_a_demand_that_never_comes_along_the_course(two_roads):
-    assert trial.check(two_roads("beside"))[1] == []
-    (told,) = trial.check(two_roads("highway"))[1]
-    assert told.startswith(
-        "when the host enters, no vehicle of the demand is on its course or on the way to it; lead netw"
-    )
-
-
-def test_the_check_tries_the_demand(tmp_path):
-    lost = tmp_path / "lost.rou.xml"
-    lost.write_text('<routes><vehicle id="v" depart="0"><route edges="nowhere"/></vehicle></routes>')
-    with pytest.raises(InputError, match=r"SUMO .*nowhere"):
-        trial.check(world(traffic={"routes": (str(lost),)}))
-
-
-def test_a_check_that_fails_leaves_no_simulation_open(tmp_path):
-    late = tmp_path / "late.rou.xml"
-    late.write_text('<routes><vehicle id="v" depart="500"><route edges="highway"/></vehicle></routes>')
-    for _ in range(2):
-        with pytest.raises(InputError, match="no vehicle of the demand is on the road at 60 s"):
-            trial.check(world(traffic={"routes": (str(late),)}))
-
-
 def test_additional_files_are_loaded(make, tmp_path):
     """A bus that halts at a stop of theirs for longer than the episode."""
     stops, demand = tmp_path / "stops.add.xml", tmp_path / "bus.rou.xml"
@@ -516,59 +336,6 @@ def test_additional_files_are_loaded(make, tmp_path):
     assert libsumo.vehicle.getLanePosition("bus") == pytest.approx(930.0, abs=0.2)
     with pytest.raises(InputError, match="busStop 's' is not known"):
         make(world(traffic=traffic | {"additional": ()})).reset(seed=UNSEEN)
-
-
-def test_the_host_drives_along_the_edges_wanted_and_no_farther(make):
-    """Half the ring: four of its eight edges of 392.7 m, from whose first the host starts."""
-    env = make(world(network={"file": "ring5", "course": ("ring6", "ring1")}, episode={"duration_s": 300.0}))
-    env.reset(seed=UNSEEN)
-    edges = {libsumo.vehicle.getRoadID(HOST)}
-    while not env.is_over:
-        env.drive(KEEP)
-        edges.add(libsumo.vehicle.getRoadID(HOST))
-    assert {edge for edge in edges if not edge.startswith(":")} == {"ring6", "ring7", "ring0", "ring1"}
-    assert env.trajectory().end_reason == "end of road"
-
-
-def test_on_a_ring_the_course_is_driven_in_laps(make):
-    config = world(network={"file": "ring5"}, episode={"course_m": 7222.0, "duration_s": math.inf}, traffic=EMPTY)
-    driven = drive(make(config), always(ACCELERATE))
-    assert driven.end_reason == "course"
-    assert 7222.0 <= driven.speed_mps[1:].sum() * 0.1 < 7222.0 + 80 / KMH
-
-
-@pytest.mark.parametrize("decision_period_s", [1.0, 2.0])
-@pytest.mark.parametrize("course_m", [500.0, 530.0, 600.0])
-def test_on_a_ring_the_road_does_not_end_with_the_course(make, course_m, decision_period_s):
-    config = world(
-        network={"file": "ring5"},
-        episode={"course_m": course_m, "decision_period_s": decision_period_s},
-        traffic=EMPTY,
-    )
-    driven = drive(make(config), always(KEEP))
-    travelled_m = driven.speed_mps[1:].sum() * 0.1
-    assert driven.end_reason == "course"
-    assert course_m - 1e-6 < travelled_m < course_m + decision_period_s * 60 / KMH
-
-
-@pytest.fixture
-def soon():
-    """Fail rather than hang."""
-
-    def late(*_):
-        raise TimeoutError("not done within 5 s")
-
-    before = signal.signal(signal.SIGALRM, late)
-    signal.setitimer(signal.ITIMER_REAL, 5.0)
-    yield
-    signal.setitimer(signal.ITIMER_REAL, 0.0)
-    signal.signal(signal.SIGALRM, before)
-
-
-@pytest.mark.usefixtures("soon")
-def test_on_a_ring_an_episode_may_be_limited_by_its_duration_alone(make):
-    driven = drive(make(world(network={"file": "ring5"}, traffic=EMPTY)), always(KEEP))
-    assert (driven.end_reason, len(driven.lane_changing)) == ("duration", 600)
 
 
 def intrude(gap_m):
@@ -632,210 +399,6 @@ def test_a_host_that_has_stood_still_for_five_minutes_ends_the_episode(make):
     assert len(driven.lane_changing) * 0.1 - still == pytest.approx(300.0, abs=0.5)
 
 
-MERGE = """<net version="1.20">
-<location netOffset="0,0" convBoundary="0,0,2000,0" origBoundary="0,0,2000,0" projParameter="!"/>
-<edge id=":b_0" function="internal">
-    <lane id=":b_0_0" index="0" speed="36.11" length="8.00" shape="996,-4.80 1004,-4.80"/>
-    <lane id=":b_0_1" index="1" speed="36.11" length="8.00" shape="996,-1.60 1004,-1.60"/>
-</edge>
-<edge id="wide" from="a" to="b" priority="-1">
-    <lane id="wide_0" index="0" speed="36.11" length="996.00" shape="0,-8.00 996,-8.00"/>
-    <lane id="wide_1" index="1" speed="36.11" length="996.00" shape="0,-4.80 996,-4.80"/>
-    <lane id="wide_2" index="2" speed="36.11" length="996.00" shape="0,-1.60 996,-1.60"/>
-</edge>
-<edge id="narrow" from="b" to="c" priority="-1">
-    <lane id="narrow_0" index="0" speed="36.11" length="996.00" shape="1004,-4.80 2000,-4.80"/>
-    <lane id="narrow_1" index="1" speed="36.11" length="996.00" shape="1004,-1.60 2000,-1.60"/>
-</edge>
-<junction id="a" type="dead_end" x="0" y="0" incLanes="" intLanes="" shape="0,0 0,-9.60"/>
-<junction id="b" type="priority" x="1000" y="0" incLanes="wide_0 wide_1 wide_2" intLanes=":b_0_0 :b_0_1"
-    shape="1004,0 1004,-6.40 996,-9.60 996,0">
-    <request index="0" response="00" foes="00" cont="0"/>
-    <request index="1" response="00" foes="00" cont="0"/>
-</junction>
-<junction id="c" type="dead_end" x="2000" y="0" incLanes="narrow_0 narrow_1" intLanes="" shape="2000,-6.40 2000,0"/>
-<connection from="wide" to="narrow" fromLane="1" toLane="0" via=":b_0_0" dir="s" state="M"/>
-<connection from="wide" to="narrow" fromLane="2" toLane="1" via=":b_0_1" dir="s" state="M"/>
-<connection from=":b_0" to="narrow" fromLane="0" toLane="0" dir="s" state="M"/>
-<connection from=":b_0" to="narrow" fromLane="1" toLane="1" dir="s" state="M"/>
-</net>"""
-"""Three lanes, of which the right one ends after a kilometre: what netconvert made of two edges, shortened."""
-
-
-@pytest.fixture
-def merge(tmp_path):
-    path = tmp_path / "merge.net.xml"
-    path.write_text(MERGE)
-    return {"file": str(path)}
-
-
-@pytest.fixture
-def town(tmp_path):
-    """The same, but 50 km/h are allowed on the second kilometre, and 30 in the junction before it."""
-    path = tmp_path / "town.net.xml"
-    narrow = re.sub(r'(<lane id="narrow.*?speed=)"36.11"', r'\1"13.89"', MERGE)
-    path.write_text(re.sub(r'(<lane id=":b.*?speed=)"36.11"', r'\1"8.33"', narrow))
-    return {"file": str(path)}
-
-
-@pytest.mark.parametrize("who", ["accelerating", "random", "sumo"])
-@pytest.mark.parametrize("traffic", [EMPTY, {"vehicles": 10}])
-def test_speed_limits_are_kept_and_braked_for_comfortably(make, watched, town, who, traffic):
-    for seed in range(4):
-        env = make(world(network=town, traffic=traffic, episode={"duration_s": 300.0}), hands_off=who == "sumo")
-        driven = drive(env, at_random(seed) if who == "random" else always(ACCELERATE), UNSEEN + seed)
-        fronts = np.array([scene.x_m[0] + 0.5 * scene.length_m[0] for scene in watched().scenes])
-        speeds_kmh = driven.speed_mps[1:] * KMH
-        assert (speeds_kmh <= np.select([fronts < 996.0, fronts < 1004.0], [80.0, 30.0], 50.0) + 0.1).all()
-        if traffic == EMPTY:
-            assert np.diff(driven.speed_mps).min() >= -0.2 - 1e-6  # 2 m/s², in every step of 0.1 s
-            # Not sooner than it must: from 80 to 30 km/h in (22.2^2 - 8.3^2) / 4 = 106 m, and up to 50 again at once.
-            if who != "random":
-                assert speeds_kmh[fronts < 885.0].max() == pytest.approx(80.0)
-                assert speeds_kmh[fronts < 885.0][-1] > 79.0
-                assert speeds_kmh[fronts > 1060.0].min() == pytest.approx(50.0, abs=0.1)
-
-
-@pytest.mark.parametrize("traffic", [{"vehicles": 10, "speed_low_kmh": 60.0}])
-def test_the_windows_vehicles_keep_to_speed_limits_too(make, watched, town, traffic):
-    drive(make(world(network=town, traffic=traffic, episode={"duration_s": 300.0})), always(ACCELERATE), UNSEEN)
-    in_town = [
-        speed
-        for scene in watched().scenes
-        for x, length, speed in zip(scene.x_m[1:], scene.length_m[1:], scene.speed_mps[1:], strict=True)
-        if x - length > 1004.0
-    ]
-    assert len(in_town) > 100
-    assert max(in_town) <= 13.89 + 0.01
-
-
-def test_within_a_junction_the_limit_beyond_it_is_kept_in_mind(make, watched, tmp_path):
-    path = tmp_path / "fast.net.xml"
-    narrow = re.sub(r'(<lane id="narrow.*?speed=)"36.11"', r'\1"13.89"', MERGE)
-    path.write_text(re.sub(r'(<lane id=":b.*?)length="8.00"', r'\1length="40.00"', narrow))  # and 130 km/h within
-    env = make(world(network={"file": str(path)}, traffic=EMPTY, episode={"duration_s": 60.0}))
-    driven = drive(env, always(ACCELERATE), 2)
-    fronts = np.array([scene.x_m[0] + 0.5 * scene.length_m[0] for scene in watched().scenes])
-    assert driven.speed_mps.max() * KMH == pytest.approx(80.0)
-    assert (driven.speed_mps[1:] * KMH)[fronts >= 1004.0].max() == pytest.approx(50.0, abs=0.1)
-
-
-def test_the_host_enters_no_faster_than_it_may(make, tmp_path):
-    path = tmp_path / "zone30.net.xml"
-    path.write_text(MERGE.replace("36.11", "8.33"))
-    driven = drive(make(world(network={"file": str(path)}, traffic=EMPTY, episode={"duration_s": 5.0})), always(KEEP))
-    assert driven.speed_mps == pytest.approx(np.full(51, 8.33))
-
-
-@pytest.fixture
-def signalled(tmp_path):
-    """The same, and the signal before the junction turns green after 80 s."""
-    path = tmp_path / "signal.net.xml"
-    logic = (
-        '<tlLogic id="b" type="static" programID="0" offset="0">'
-        '<phase duration="80" state="rr"/><phase duration="900" state="GG"/></tlLogic>'
-    )
-    text = MERGE.replace('id="b" type="priority"', 'id="b" type="traffic_light"')
-    text = text.replace("<junction", logic + "<junction", 1)
-    for lane in (0, 1):
-        text = text.replace(f'via=":b_0_{lane}"', f'via=":b_0_{lane}" tl="b" linkIndex="{lane}"')
-    path.write_text(text)
-    return path
-
-
-@pytest.mark.parametrize("hands_off", [False, True])
-def test_for_a_red_light_the_host_brakes_comfortably_and_no_sooner_than_it_must(make, watched, signalled, hands_off):
-    world_of_its_own = world(network={"file": str(signalled)}, traffic=EMPTY, episode={"duration_s": 100.0})
-    driven = drive(make(world_of_its_own, hands_off=hands_off), always(ACCELERATE), UNSEEN)
-    fronts = np.array([scene.x_m[0] + 0.5 * scene.length_m[0] for scene in watched().scenes])
-    times = np.array([scene.time_s for scene in watched().scenes])
-    speeds = driven.speed_mps[1:]
-    assert 990.0 < fronts[times <= 80.0].max() < 996.0
-    assert np.diff(driven.speed_mps).min() >= -0.2 - 1e-6  # 2 m/s²
-    assert speeds[fronts < 996.0 - 130.0][-1] * KMH == pytest.approx(80.0)  # 2.5 m + (80 / 3.6)^2 / 4 = 126 m
-    assert speeds[times <= 80.0][-1] == pytest.approx(0.0, abs=0.01)
-    assert fronts[-1] > 1050.0
-
-
-@pytest.mark.parametrize(("away_m", "stops"), [(40.0, False), (80.0, True)])
-@pytest.mark.parametrize("hands_off", [False, True])
-def test_at_yellow_the_host_stops_if_it_can_comfortably_and_else_drives_on(
-    make, watched, signalled, away_m, stops, hands_off
-):
-    # At 60 km/h it needs (60 / 3.6)^2 / 4 = 69 m, and gets 50 m far in 3 s.
-    turns_s = round((796.0 - away_m) / (60 / KMH), 1)  # it starts at 200 m
-    red = '<phase duration="80" state="rr"/>'
-    yellow = f'<phase duration="{turns_s}" state="GG"/><phase duration="3" state="yy"/>{red}'
-    signalled.write_text(signalled.read_text().replace(red, yellow))
-    episode = {"duration_s": turns_s + 20.0}
-    adas = {"start_speed_kmh": 60.0, "max_speed_kmh": 60.1}
-    world_of_its_own = world(network={"file": str(signalled)}, traffic=EMPTY, episode=episode, adas=adas)
-    driven = drive(make(world_of_its_own, hands_off=hands_off), always(KEEP), UNSEEN)
-    front = watched().scenes[-1].x_m[0] + 0.5 * watched().scenes[-1].length_m[0]
-    assert driven.speed_mps[-1] * KMH == pytest.approx(0.0 if stops else 60.0, abs=0.2)
-    assert (front < 996.0) == stops
-    assert np.diff(driven.speed_mps).min() >= (-0.2 if stops else -0.01) - 1e-6
-
-
-@pytest.mark.parametrize("vehicles", [0, 16])
-def test_close_to_a_red_light_the_host_starts_slower_and_is_none_the_slower_later(make, signalled, vehicles):
-    signalled.write_text(re.sub(r'(<lane id="wide.*?)length="996.00"', r'\1length="204.00"', signalled.read_text()))
-    network, traffic, episode = {"file": str(signalled)}, {"vehicles": vehicles}, {"duration_s": 120.0}
-    for seed in range(3):  # it starts at 200 m
-        env = make(world(network=network, traffic=traffic, episode=episode))
-        driven = drive(env, always(ACCELERATE), UNSEEN + seed)
-        assert 0.0 < driven.speed_mps[0] < 10.0  # of the 16.7 m/s that it was to
-        if not vehicles:
-            assert driven.speed_mps[10:700].max() < 1.0  # it waits
-            assert driven.speed_mps.max() * KMH == pytest.approx(80.0)
-
-
-@pytest.fixture
-def soon_narrow(tmp_path):
-    """Three lanes, the right one of which ends 100 m ahead of the host's start."""
-    path = tmp_path / "soon.net.xml"
-    path.write_text(re.sub(r'(<lane id="wide.*?)length="996.00"', r'\1length="300.00"', MERGE))
-    return {"file": str(path)}
-
-
-def test_the_window_reaches_over_edges_with_other_lanes(make, soon_narrow):
-    for seed in range(6):
-        env = make(world(network=soon_narrow))
-        env.reset(seed=UNSEEN + seed)
-        assert len(libsumo.vehicle.getIDList()) > 10
-    env.close()
-    assert trial.check(world(network=soon_narrow))[1][0].startswith("the road ends 1")
-
-
-def test_the_host_starts_on_a_lane_that_leads_on(make, soon_narrow):
-    lanes = set()
-    for seed in range(12):
-        make(world(network=soon_narrow, traffic=EMPTY)).reset(seed=seed)
-        lanes.add(libsumo.vehicle.getLaneID(HOST))
-    assert lanes == {"wide_1", "wide_2"}
-
-
-def test_who_drives_on_a_bridge_is_not_around_the_host(make, tmp_path):
-    path, demand = tmp_path / "bridge.net.xml", tmp_path / "bridge.rou.xml"
-    over = (
-        '<edge id="over" from="d" to="e" priority="-1"><lane id="over_0" index="0" speed="36.11" length="120.00" '
-        'shape="60,-60,6.00 60,60,6.00"/></edge>'
-        '<junction id="d" type="dead_end" x="60" y="-60" incLanes="" intLanes="" shape="60,-60"/>'
-        '<junction id="e" type="dead_end" x="60" y="60" incLanes="over_0" intLanes="" shape="60,60"/>'
-    )
-    path.write_text(MERGE.replace("<junction", over + "<junction", 1))
-    demand.write_text(
-        '<routes><vType id="slow" maxSpeed="0.1"/>'
-        '<vehicle id="above" type="slow" depart="0" departPos="55"><route edges="over"/></vehicle>'
-        '<vehicle id="beside" type="slow" depart="0" departPos="60" departLane="2"><route edges="wide"/></vehicle>'
-        "</routes>"
-    )
-    env = make(world(network={"file": str(path)}, traffic={"routes": [str(demand)], "warm_up_s": 1.0}))
-    env.reset(seed=0)
-    assert {"above", "beside"} <= set(libsumo.vehicle.getIDList())
-    assert env.scene.ids == [HOST, "beside"]
-
-
 @pytest.mark.parametrize(
     "by",
     [
@@ -850,104 +413,6 @@ def test_a_host_that_is_taken_off_the_road_is_told_in_one_line(make, tmp_path, b
     ring = {"network": {"file": "ring5"}, "episode": {"duration_s": 400.0}}
     with pytest.raises(InputError, match=r"^the host was taken off the road; keep rerouters, .* \(SUMO: .*\)$"):
         drive(make(world(**ring | {"traffic": EMPTY | {"additional": [str(path)]}})), always(KEEP))
-
-
-@pytest.mark.parametrize("start_lane", [0, 1, 2])
-def test_a_lanes_own_limit_holds_on_that_lane_alone(make, tmp_path, start_lane):
-    path = tmp_path / "slow.net.xml"
-    path.write_text(MERGE.replace('id="wide_0" index="0" speed="36.11"', 'id="wide_0" index="0" speed="13.89"'))
-    env = make(world(network={"file": str(path)}, traffic=EMPTY, episode={"duration_s": 30.0}))
-    env.reset(seed=1)
-    libsumo.vehicle.moveTo(HOST, f"wide_{start_lane}", 10.0)
-    for _ in range(25):
-        env.drive(ACCELERATE)
-    assert env.trajectory().speed_mps[-1] * KMH == pytest.approx(80.0 if start_lane else 50.0, abs=0.1)
-
-
-def test_a_variable_speed_sign_holds_from_its_moment_on_and_is_braked_for_comfortably(make, tmp_path):
-    path, sign = tmp_path / "open.net.xml", tmp_path / "sign.add.xml"
-    path.write_text(MERGE)
-    steps = '<step time="0" speed="36.11"/><step time="20" speed="13.89"/>'
-    sign.write_text(
-        f'<additional><variableSpeedSign id="vss" lanes="wide_0 wide_1 wide_2">{steps}</variableSpeedSign></additional>'
-    )
-    traffic = EMPTY | {"additional": [str(sign)]}
-    driven = drive(
-        make(world(network={"file": str(path)}, traffic=traffic, episode={"duration_s": 40.0})), always(ACCELERATE), 1
-    )
-    speeds_kmh = driven.speed_mps * KMH
-    assert speeds_kmh.max() == pytest.approx(80.0)
-    assert speeds_kmh[-1] == pytest.approx(50.0, abs=0.1)
-    assert np.diff(driven.speed_mps).min() >= -0.2 - 1e-6
-
-
-@pytest.mark.parametrize("traffic", [EMPTY, {"vehicles": 10}])
-def test_the_host_gets_on_from_a_lane_that_ends_and_over_a_junction(make, watched, merge, traffic):
-    started = []
-    for seed in range(12):
-        driven = drive(make(world(network=merge, traffic=traffic, episode={"duration_s": 300.0})), always(KEEP), seed)
-        first, last = watched().scenes[0], watched().scenes[-1]
-        started.append(first.y_m[0])
-        assert driven.end_reason == "end of road"
-        assert last.x_m[0] > 1900.0
-        # Whoever started on the lane that ends, 8 m to the right, moved over by one; the others kept theirs.
-        assert driven.lane_changes == (first.y_m[0] == -8.0)
-        assert last.y_m[0] == pytest.approx(max(first.y_m[0], -4.8))
-    assert set(started) == {-8.0, -4.8, -1.6}
-
-
-@pytest.mark.parametrize("seed", range(3))
-def test_the_windows_vehicles_leave_a_lane_that_ends_and_hold_their_speed_under_another_limit(
-    make, watched, tmp_path, seed
-):
-    path = tmp_path / "limits.net.xml"
-    slow_first = MERGE.replace('id="wide_0" index="0" speed="36.11"', 'id="wide_0" index="0" speed="13.89"')
-    path.write_text(slow_first.replace('id="wide_1" index="1" speed="36.11"', 'id="wide_1" index="1" speed="13.89"'))
-    traffic = {"vehicles": 12, "speed_low_kmh": 50.0, "speed_high_kmh": 60.0}
-    env = make(world(network={"file": str(path)}, traffic=traffic, episode={"duration_s": 300.0}))
-    drive(env, always(KEEP), UNSEEN + seed)
-    others = np.concatenate([scene.speed_mps[1:] for scene in watched().scenes])
-    assert others.min() * KMH > 20.0  # nobody waits at the end of the lane
-    assert 55.0 < others.max() * KMH <= 60.01
-
-
-def test_between_lanes_of_unequal_width_the_host_moves_evenly_and_crosses_before_the_border(make, watched, tmp_path):
-    path = tmp_path / "widths.net.xml"
-    path.write_text(MERGE.replace('shape="0,-1.60 996,-1.60"', 'width="4.50" shape="0,-0.95 996,-0.95"'))
-    env = make(world(network={"file": str(path)}, traffic=EMPTY, episode={"duration_s": 40.0}))
-    driven = drive(env, at_random(3))
-    across = np.diff([scene.y_m[0] for scene in watched().scenes])
-    assert driven.lane_changes > 3
-    assert np.abs(across).max() < 0.18  # 1.7 m/s
-
-
-def test_a_host_that_strays_beyond_a_bicycle_lane_drives_on_there(make, tmp_path):
-    path = tmp_path / "split.net.xml"
-    lane = '<lane id="narrow_{0}" index="{0}" {1} speed="36.11" length="996.00" shape="1004,{2} 2000,{2}"/>'
-    lanes = [(0, "", -11.2), (1, 'allow="bicycle"', -8.0), (2, "", -4.8), (3, "", -1.6)]
-    split = re.sub(
-        r'    <lane id="narrow_0".*?narrow_1"[^>]*>', "".join(lane.format(*one) for one in lanes), MERGE, flags=re.S
-    )
-    split = re.sub(r'(to="narrow" fromLane="\d" toLane=)"(\d)"', lambda at: f'{at[1]}"{int(at[2]) + 2}"', split)
-    path.write_text(split)
-    env = make(world(network={"file": str(path)}, traffic=EMPTY, episode={"duration_s": 300.0}))
-    env.reset(seed=1)
-    libsumo.vehicle.moveTo(HOST, "narrow_0", 50.0)
-    decide = at_random(1)
-    for _ in range(20):
-        env.drive(decide(env))
-    assert env.trajectory().lane_changes == 0
-    assert libsumo.vehicle.getLaneID(HOST) == "narrow_0"
-
-
-@pytest.mark.parametrize("length_m", [150.0, 250.0, 272.0])
-def test_a_road_too_short_to_drive_on_is_refused_before_anybody_drives(short_road, length_m):
-    message = (
-        f"^network 'short': the course is {length_m:.0f} m long, and the host needs 200 m of it behind its start and "
-        "72 m to spare at the end; use a longer course or a smaller traffic.behind_m$"
-    )
-    with pytest.raises(InputError, match=message):
-        HighwayEnv(world(network=short_road(length_m)))
 
 
 def test_a_demand_that_begins_later_needs_to_be_told_when(make, tmp_path):
@@ -980,16 +445,6 @@ def test_any_seed_that_is_not_negative_begins_an_episode(make, seed):
     env = make(world(traffic=EMPTY))
     env.reset(seed=seed)
     assert env.trajectory().seed == seed
-
-
-@pytest.mark.parametrize("hands_off", [False, True])
-def test_beyond_a_junction_other_lane_numbers_are_no_lane_changes(make, outputs, merge, hands_off):
-    env = make(world(network=merge, traffic={"vehicles": 10}, episode={"duration_s": 300.0}), hands_off=hands_off)
-    driven = drive(env, always(KEEP), seed=UNSEEN)
-    env.close()
-    of_host = [entry for entry in outputs("lanechange") if entry.get("id") == HOST]
-    assert driven.end_reason == "end of road"
-    assert driven.lane_changes == len(of_host)
 
 
 # Agreement with an onlooker, and with SUMO's own account.

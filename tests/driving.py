@@ -1,0 +1,97 @@
+"""Drives in worlds of a test's own, and somebody who watches them."""
+
+import dataclasses
+import math
+
+import numpy as np
+
+from rail_sumo.config import validate
+from rail_sumo.highway.simulation import Simulation
+from rail_sumo.records import MetaAction
+
+KEEP, ACCELERATE, DECELERATE, LEFT, RIGHT = MetaAction
+LANE_M = 3.2
+UNSEEN = 1_900_000_000
+"""Traffic seeds from here on: beyond those anybody trains or tunes on by hand."""
+
+
+def world(**sections):
+    """The default world for 60 s with some slow vehicles in it, changed by section."""
+    tree = {"episode": {"course_m": math.inf, "duration_s": 60.0}, "traffic": {"speed_low_kmh": 40.0}}
+    return validate({**tree, **{name: tree.get(name, {}) | changes for name, changes in sections.items()}})
+
+
+EMPTY = {"vehicles": 0}
+
+
+class Watched(Simulation):
+    """Keeps what an onlooker sees after every step."""
+
+    latest: "Watched"
+
+    def __init__(self, *arguments, **named):
+        super().__init__(*arguments, **named)
+        Watched.latest = self
+        self.scenes = []
+
+    def _step(self):
+        super()._step()
+        self.scenes.append(self.scene())
+
+
+def at_random(seed):
+    rng = np.random.default_rng(seed)
+    return lambda env: int(rng.integers(5))
+
+
+def always(action):
+    return lambda env: action
+
+
+def in_turn(*actions):
+    """These decisions one after the other, then KEEP."""
+    left = list(actions)
+    return lambda env: left.pop(0) if left else KEEP
+
+
+def drive(env, decide, seed=7):
+    env.reset(seed=seed)
+    while not env.is_over:
+        env.drive(decide(env))
+    return env.trajectory()
+
+
+def assert_same(one, other):
+    for field in dataclasses.fields(one):
+        mine, theirs = getattr(one, field.name), getattr(other, field.name)
+        assert np.array_equal(mine, theirs), field.name
+
+
+MERGE = """<net version="1.20">
+<location netOffset="0,0" convBoundary="0,0,2000,0" origBoundary="0,0,2000,0" projParameter="!"/>
+<edge id=":b_0" function="internal">
+    <lane id=":b_0_0" index="0" speed="36.11" length="8.00" shape="996,-4.80 1004,-4.80"/>
+    <lane id=":b_0_1" index="1" speed="36.11" length="8.00" shape="996,-1.60 1004,-1.60"/>
+</edge>
+<edge id="wide" from="a" to="b" priority="-1">
+    <lane id="wide_0" index="0" speed="36.11" length="996.00" shape="0,-8.00 996,-8.00"/>
+    <lane id="wide_1" index="1" speed="36.11" length="996.00" shape="0,-4.80 996,-4.80"/>
+    <lane id="wide_2" index="2" speed="36.11" length="996.00" shape="0,-1.60 996,-1.60"/>
+</edge>
+<edge id="narrow" from="b" to="c" priority="-1">
+    <lane id="narrow_0" index="0" speed="36.11" length="996.00" shape="1004,-4.80 2000,-4.80"/>
+    <lane id="narrow_1" index="1" speed="36.11" length="996.00" shape="1004,-1.60 2000,-1.60"/>
+</edge>
+<junction id="a" type="dead_end" x="0" y="0" incLanes="" intLanes="" shape="0,0 0,-9.60"/>
+<junction id="b" type="priority" x="1000" y="0" incLanes="wide_0 wide_1 wide_2" intLanes=":b_0_0 :b_0_1"
+    shape="1004,0 1004,-6.40 996,-9.60 996,0">
+    <request index="0" response="00" foes="00" cont="0"/>
+    <request index="1" response="00" foes="00" cont="0"/>
+</junction>
+<junction id="c" type="dead_end" x="2000" y="0" incLanes="narrow_0 narrow_1" intLanes="" shape="2000,-6.40 2000,0"/>
+<connection from="wide" to="narrow" fromLane="1" toLane="0" via=":b_0_0" dir="s" state="M"/>
+<connection from="wide" to="narrow" fromLane="2" toLane="1" via=":b_0_1" dir="s" state="M"/>
+<connection from=":b_0" to="narrow" fromLane="0" toLane="0" dir="s" state="M"/>
+<connection from=":b_0" to="narrow" fromLane="1" toLane="1" dir="s" state="M"/>
+</net>"""
+"""Three lanes, of which the right one ends after a kilometre: what netconvert made of two edges, shortened."""

@@ -1,0 +1,161 @@
+"""Speed limits and signals are kept, and braked for comfortably."""
+
+import re
+
+import libsumo
+import numpy as np
+import pytest
+from driving import ACCELERATE, EMPTY, KEEP, MERGE, UNSEEN, always, at_random, drive, world
+
+from rail_sumo.highway.simulation import HOST
+from rail_sumo.records import KMH
+
+
+@pytest.fixture
+def town(tmp_path):
+    """`MERGE`, but 50 km/h are allowed on the second kilometre, and 30 in the junction before it."""
+    path = tmp_path / "town.net.xml"
+    narrow = re.sub(r'(<lane id="narrow.*?speed=)"36.11"', r'\1"13.89"', MERGE)
+    path.write_text(re.sub(r'(<lane id=":b.*?speed=)"36.11"', r'\1"8.33"', narrow))
+    return {"file": str(path)}
+
+
+@pytest.mark.parametrize("who", ["accelerating", "random", "sumo"])
+@pytest.mark.parametrize("traffic", [EMPTY, {"vehicles": 10}])
+def test_speed_limits_are_kept_and_braked_for_comfortably(make, watched, town, who, traffic):
+    for seed in range(4):
+        env = make(world(network=town, traffic=traffic, episode={"duration_s": 300.0}), hands_off=who == "sumo")
+        driven = drive(env, at_random(seed) if who == "random" else always(ACCELERATE), UNSEEN + seed)
+        fronts = np.array([scene.x_m[0] + 0.5 * scene.length_m[0] for scene in watched().scenes])
+        speeds_kmh = driven.speed_mps[1:] * KMH
+        assert (speeds_kmh <= np.select([fronts < 996.0, fronts < 1004.0], [80.0, 30.0], 50.0) + 0.1).all()
+        if traffic == EMPTY:
+            assert np.diff(driven.speed_mps).min() >= -0.2 - 1e-6  # 2 m/s², in every step of 0.1 s
+            # Not sooner than it must: from 80 to 30 km/h in (22.2^2 - 8.3^2) / 4 = 106 m, and up to 50 again at once.
+            if who != "random":
+                assert speeds_kmh[fronts < 885.0].max() == pytest.approx(80.0)
+                assert speeds_kmh[fronts < 885.0][-1] > 79.0
+                assert speeds_kmh[fronts > 1060.0].min() == pytest.approx(50.0, abs=0.1)
+
+
+@pytest.mark.parametrize("traffic", [{"vehicles": 10, "speed_low_kmh": 60.0}])
+def test_the_windows_vehicles_keep_to_speed_limits_too(make, watched, town, traffic):
+    drive(make(world(network=town, traffic=traffic, episode={"duration_s": 300.0})), always(ACCELERATE), UNSEEN)
+    in_town = [
+        speed
+        for scene in watched().scenes
+        for x, length, speed in zip(scene.x_m[1:], scene.length_m[1:], scene.speed_mps[1:], strict=True)
+        if x - length > 1004.0
+    ]
+    assert len(in_town) > 100
+    assert max(in_town) <= 13.89 + 0.01
+
+
+def test_within_a_junction_the_limit_beyond_it_is_kept_in_mind(make, watched, tmp_path):
+    path = tmp_path / "fast.net.xml"
+    narrow = re.sub(r'(<lane id="narrow.*?speed=)"36.11"', r'\1"13.89"', MERGE)
+    path.write_text(re.sub(r'(<lane id=":b.*?)length="8.00"', r'\1length="40.00"', narrow))  # and 130 km/h within
+    env = make(world(network={"file": str(path)}, traffic=EMPTY, episode={"duration_s": 60.0}))
+    driven = drive(env, always(ACCELERATE), 2)
+    fronts = np.array([scene.x_m[0] + 0.5 * scene.length_m[0] for scene in watched().scenes])
+    assert driven.speed_mps.max() * KMH == pytest.approx(80.0)
+    assert (driven.speed_mps[1:] * KMH)[fronts >= 1004.0].max() == pytest.approx(50.0, abs=0.1)
+
+
+def test_the_host_enters_no_faster_than_it_may(make, tmp_path):
+    path = tmp_path / "zone30.net.xml"
+    path.write_text(MERGE.replace("36.11", "8.33"))
+    driven = drive(make(world(network={"file": str(path)}, traffic=EMPTY, episode={"duration_s": 5.0})), always(KEEP))
+    assert driven.speed_mps == pytest.approx(np.full(51, 8.33))
+
+
+@pytest.fixture
+def signalled(tmp_path):
+    """`MERGE` with a signal before the junction, which turns green after 80 s."""
+    path = tmp_path / "signal.net.xml"
+    logic = (
+        '<tlLogic id="b" type="static" programID="0" offset="0">'
+        '<phase duration="80" state="rr"/><phase duration="900" state="GG"/></tlLogic>'
+    )
+    text = MERGE.replace('id="b" type="priority"', 'id="b" type="traffic_light"')
+    text = text.replace("<junction", logic + "<junction", 1)
+    for lane in (0, 1):
+        text = text.replace(f'via=":b_0_{lane}"', f'via=":b_0_{lane}" tl="b" linkIndex="{lane}"')
+    path.write_text(text)
+    return path
+
+
+@pytest.mark.parametrize("hands_off", [False, True])
+def test_for_a_red_light_the_host_brakes_comfortably_and_no_sooner_than_it_must(make, watched, signalled, hands_off):
+    world_of_its_own = world(network={"file": str(signalled)}, traffic=EMPTY, episode={"duration_s": 100.0})
+    driven = drive(make(world_of_its_own, hands_off=hands_off), always(ACCELERATE), UNSEEN)
+    fronts = np.array([scene.x_m[0] + 0.5 * scene.length_m[0] for scene in watched().scenes])
+    times = np.array([scene.time_s for scene in watched().scenes])
+    speeds = driven.speed_mps[1:]
+    assert 990.0 < fronts[times <= 80.0].max() < 996.0
+    assert np.diff(driven.speed_mps).min() >= -0.2 - 1e-6  # 2 m/s²
+    assert speeds[fronts < 996.0 - 130.0][-1] * KMH == pytest.approx(80.0)  # 2.5 m + (80 / 3.6)^2 / 4 = 126 m
+    assert speeds[times <= 80.0][-1] == pytest.approx(0.0, abs=0.01)
+    assert fronts[-1] > 1050.0
+
+
+@pytest.mark.parametrize(("away_m", "stops"), [(40.0, False), (80.0, True)])
+@pytest.mark.parametrize("hands_off", [False, True])
+def test_at_yellow_the_host_stops_if_it_can_comfortably_and_else_drives_on(
+    make, watched, signalled, away_m, stops, hands_off
+):
+    # At 60 km/h it needs (60 / 3.6)^2 / 4 = 69 m, and gets 50 m far in 3 s.
+    turns_s = round((796.0 - away_m) / (60 / KMH), 1)  # it starts at 200 m
+    red = '<phase duration="80" state="rr"/>'
+    yellow = f'<phase duration="{turns_s}" state="GG"/><phase duration="3" state="yy"/>{red}'
+    signalled.write_text(signalled.read_text().replace(red, yellow))
+    episode = {"duration_s": turns_s + 20.0}
+    adas = {"start_speed_kmh": 60.0, "max_speed_kmh": 60.1}
+    world_of_its_own = world(network={"file": str(signalled)}, traffic=EMPTY, episode=episode, adas=adas)
+    driven = drive(make(world_of_its_own, hands_off=hands_off), always(KEEP), UNSEEN)
+    front = watched().scenes[-1].x_m[0] + 0.5 * watched().scenes[-1].length_m[0]
+    assert driven.speed_mps[-1] * KMH == pytest.approx(0.0 if stops else 60.0, abs=0.2)
+    assert (front < 996.0) == stops
+    assert np.diff(driven.speed_mps).min() >= (-0.2 if stops else -0.01) - 1e-6
+
+
+@pytest.mark.parametrize("vehicles", [0, 16])
+def test_close_to_a_red_light_the_host_starts_slower_and_is_none_the_slower_later(make, signalled, vehicles):
+    signalled.write_text(re.sub(r'(<lane id="wide.*?)length="996.00"', r'\1length="204.00"', signalled.read_text()))
+    network, traffic, episode = {"file": str(signalled)}, {"vehicles": vehicles}, {"duration_s": 120.0}
+    for seed in range(3):  # it starts at 200 m
+        env = make(world(network=network, traffic=traffic, episode=episode))
+        driven = drive(env, always(ACCELERATE), UNSEEN + seed)
+        assert 0.0 < driven.speed_mps[0] < 10.0  # of the 16.7 m/s that it was to
+        if not vehicles:
+            assert driven.speed_mps[10:700].max() < 1.0  # it waits
+            assert driven.speed_mps.max() * KMH == pytest.approx(80.0)
+
+
+@pytest.mark.parametrize("start_lane", [0, 1, 2])
+def test_a_lanes_own_limit_holds_on_that_lane_alone(make, tmp_path, start_lane):
+    path = tmp_path / "slow.net.xml"
+    path.write_text(MERGE.replace('id="wide_0" index="0" speed="36.11"', 'id="wide_0" index="0" speed="13.89"'))
+    env = make(world(network={"file": str(path)}, traffic=EMPTY, episode={"duration_s": 30.0}))
+    env.reset(seed=1)
+    libsumo.vehicle.moveTo(HOST, f"wide_{start_lane}", 10.0)
+    for _ in range(25):
+        env.drive(ACCELERATE)
+    assert env.trajectory().speed_mps[-1] * KMH == pytest.approx(80.0 if start_lane else 50.0, abs=0.1)
+
+
+def test_a_variable_speed_sign_holds_from_its_moment_on_and_is_braked_for_comfortably(make, tmp_path):
+    path, sign = tmp_path / "open.net.xml", tmp_path / "sign.add.xml"
+    path.write_text(MERGE)
+    steps = '<step time="0" speed="36.11"/><step time="20" speed="13.89"/>'
+    sign.write_text(
+        f'<additional><variableSpeedSign id="vss" lanes="wide_0 wide_1 wide_2">{steps}</variableSpeedSign></additional>'
+    )
+    traffic = EMPTY | {"additional": [str(sign)]}
+    driven = drive(
+        make(world(network={"file": str(path)}, traffic=traffic, episode={"duration_s": 40.0})), always(ACCELERATE), 1
+    )
+    speeds_kmh = driven.speed_mps * KMH
+    assert speeds_kmh.max() == pytest.approx(80.0)
+    assert speeds_kmh[-1] == pytest.approx(50.0, abs=0.1)
+    assert np.diff(driven.speed_mps).min() >= -0.2 - 1e-6
