@@ -187,7 +187,7 @@ class Rail(_Section):
 
     reward_weight: NonNegative = 0.0
     """What a unit of the environment's reward per decision adds to a rollout's return. Above 0 it is no longer
-    imitation alone, and may pass the expert."""
+    imitation alone."""
 
 
 class Gail(_Section):
