@@ -222,6 +222,14 @@ def test_it_brakes_comfortably_to_be_as_slow_as_a_limit_ahead_where_it_begins(ad
     assert (late.speed_mps, late.steps) == (pytest.approx(60 / KMH - 0.2), 1)
 
 
+def test_that_it_will_be_faster_by_then_counts_too(adas):
+    """At 10 m/s and on its way to 60 km/h, it may be within braking distance of a limit before the next decision."""
+    braking_m = ((60 / KMH) ** 2 - 10.0**2) / (2 * 2.0)
+    near = {"speed_mps": 10.0, "limits_ahead": ((0.0, 10.0),)}
+    assert adas.command(at(to_edge_end_m=braking_m + 13.0, **near), free, steps=10).steps == 1
+    assert adas.command(at(to_edge_end_m=braking_m + 17.0, **near), free, steps=10).steps == 10
+
+
 def test_sumos_own_driver_decides_its_speed_but_for_limits():
     adas = HandsOff(config.Adas())
     assert adas.command(at(speed_mps=20.0), free, steps=10).speed_mps == SUMO_DECIDES
@@ -445,6 +453,16 @@ def test_300_m_before_the_end_of_a_lane_the_host_leaves_it_whatever_is_decided(a
     assert adas.side == 1
     adas.command(before, free, steps=1)
     assert adas.lateral_m == pytest.approx(STRIDE_M)
+
+
+def test_a_lane_change_of_its_own_accord_is_begun_once(adas):
+    host = at(lane=0, to_edge_end_m=200.0, leads_on_m=ending(0))
+    adas.decide(KEEP, host, free)
+    for _ in range(5):
+        adas.command(host, free, steps=1)
+    assert adas.lateral_m == pytest.approx(5 * STRIDE_M)
+    adas.decide(KEEP, host, free)
+    assert adas.lateral_m == pytest.approx(5 * STRIDE_M)
 
 
 @pytest.mark.parametrize(("lane", "side"), [(1, -1), (2, 1)])

@@ -89,6 +89,20 @@ def test_moments_gathered_in_parts_are_those_of_the_whole(parts):
     np.testing.assert_allclose(moments.squares, len(whole) * whole.var(axis=0), atol=1e-6)
 
 
+def test_perturbations_are_as_large_as_they_are_to_be():
+    tried = []
+
+    def note(theta, whitening, perturbations, iteration):
+        tried.append(perturbations)
+        return evaluate(theta, whitening, perturbations, iteration)
+
+    states = ars.train(
+        np.zeros(SHAPE.size), ars.Moments.none(3), search=SEARCH, whiten=True, evaluate=note, returns=returns, seed=0
+    )
+    list(itertools.islice(states, 30))
+    assert np.std(tried) == pytest.approx(SEARCH.noise_std, rel=0.05)  # 30 x 8 x 20 draws
+
+
 def test_gone_on_with_it_is_the_same_as_uninterrupted():
     expected = train(5, whiten=True)
     *_, third = train(3, whiten=True)

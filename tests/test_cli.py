@@ -6,7 +6,7 @@ import numpy as np
 import pandas as pd
 import pytest
 
-from rail_sumo import cli, config, run
+from rail_sumo import cli, config, expert, run
 from rail_sumo.errors import InputError
 from rail_sumo.highway.observation import feature_names
 from rail_sumo.policy import PolicyParameters, Shape, Whitening
@@ -229,6 +229,29 @@ def test_networks_are_listed_with_their_length_and_lanes(rail_sumo):
     assert code == 0
     assert "highway5: road of 8,200 m with 5 lanes" in out
     assert "ring5: loop of " in out
+
+
+@pytest.mark.parametrize(
+    ("command", "module", "function"),
+    [
+        ("eval keep", run, "evaluate"),
+        ("train", run, "train"),
+        ("expert record --out o.parquet", run, "demonstrate"),
+        ("expert train", expert, "train"),
+    ],
+)
+def test_the_seed_arrives(rail_sumo, monkeypatch, command, module, function):
+    def look(*_, seed, **__):
+        raise InputError(f"the seed is {seed}")
+
+    monkeypatch.setattr(module, function, look)
+    assert rail_sumo(*command.split(), "--seed", "5") == (2, "", "rail-sumo: the seed is 5\n")
+    assert rail_sumo(*command.split()) == (2, "", "rail-sumo: the seed is 0\n")
+
+
+def test_of_two_that_name_a_network_the_override_counts(world_of):
+    world = world_of("eval", "keep", "--network", "highway3", "--set", "network.file=ring5")
+    assert world.network.file == "ring5"
 
 
 def test_the_configuration_printed_is_one_to_start_from(rail_sumo, tmp_path):

@@ -95,6 +95,18 @@ def test_turning_back_is_no_way_to_lengthen_the_course(network):
     assert course(file) == ["back"]
 
 
+@pytest.mark.parametrize("way", ["out of it", "into it"])
+def test_a_connection_of_a_closed_lane_leads_nobody_on(network, way):
+    closed = {"out of it": [(0,), ()], "into it": [(), (0,)]}[way]
+    edges = [
+        edge(name, lanes=3, x=x, closed=c) for name, x, c in zip("ab", [(0, 100), (100, 200)], closed, strict=True)
+    ]
+    course = road.load(network(*edges, leads_on("a", "b", [0, 1, 2])))
+    assert [edge.id for edge in course.edges] == ["a", "b"]
+    out_of_open_lanes = {"out of it": (math.inf, math.inf), "into it": (0.0, math.inf, math.inf)}[way]
+    assert course.edges[0].leads_on_m == out_of_open_lanes
+
+
 def test_one_open_lane_beside_a_bus_lane_is_no_place_to_change_lanes(network):
     with pytest.raises(
         InputError,

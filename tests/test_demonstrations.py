@@ -46,6 +46,11 @@ def test_episodes_are_laid_end_to_end_and_numbered():
     assert demonstrations.n_episodes == 3
 
 
+def test_what_is_demonstrated_is_what_was_carried_out():
+    refused = episode([[1.0, 2.0], [3.0, 4.0]], [3, 1], carried_out=[0, 1])
+    assert Demonstrations.from_trajectories([refused]).actions.tolist() == [0, 1]
+
+
 def test_take_gives_the_first_episodes_whole():
     taken = three_episodes().take(2)
     assert taken.observations[:, 0].tolist() == [1.0, 2.0, 3.0]

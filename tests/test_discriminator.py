@@ -93,6 +93,13 @@ def test_the_returns_of_many_are_those_of_each():
     assert judged.returns(many)[0] == pytest.approx(judged.rewards(many[0].observations, many[0].actions).mean())
 
 
+@pytest.mark.parametrize("end_reason", ["duration", "course", "end of road", "standstill"])
+def test_no_other_end_than_a_crash_is_padded(end_reason):
+    driven = rollout(5, end_reason)
+    one = judge()
+    assert one.returns([driven]) == pytest.approx([one.rewards(driven.observations, driven.carried_out).mean()])
+
+
 def test_a_crash_is_padded_with_the_lowest_reward_to_the_horizon():
     # 10 decisions at 0 and 30 at -5: -150 / 40.
     assert constant_judge(0.0).returns([rollout(10, "collision")]) == pytest.approx([-3.75])

@@ -29,7 +29,8 @@ from rail_sumo.highway import env as env_module
 from rail_sumo.highway.env import HighwayEnv
 from rail_sumo.highway.observation import feature_names
 from rail_sumo.highway.reward import reward, total_reward
-from rail_sumo.highway.simulation import HOST, TRAFFIC_TYPE
+from rail_sumo.highway.simulation import HOST, RESPECT_OTHERS_GAPS, SUMO_CHANGES_LANES, TRAFFIC_TYPE
+from rail_sumo.highway.traffic import MovingWindow
 from rail_sumo.records import KMH, MetaAction
 
 
@@ -297,7 +298,48 @@ def test_a_decision_is_refused_where_the_mask_forbids_it(make):
     assert refused_ones > 10
 
 
+def test_the_traffic_is_told_how_much_time_went_by_and_whether_the_host_changes_lanes(make, monkeypatch):
+    told = []
+    monkeypatch.setattr(
+        MovingWindow,
+        "update",
+        lambda self, *, elapsed_s, host_changing_lane: told.append((elapsed_s, host_changing_lane)),
+    )
+    env = make(world(traffic=EMPTY))
+    env.reset(seed=3)
+    for decision in (LEFT if env.action_masks()[LEFT] else RIGHT, KEEP, KEEP):
+        env.drive(decision)
+    # A change of 1.9 s: a decision in its midst, the next when it ends, and a whole second after that.
+    assert told == [(0.0, False), (1.0, True), (pytest.approx(0.9), False), (1.0, False)]
+
+
+def test_after_the_hosts_lane_change_everybody_changes_lanes_as_before(make):
+    env = make(world(traffic={"routes": ("highway5",)}))
+    env.reset(seed=4)
+
+    def modes():
+        return {name: libsumo.vehicle.getLaneChangeMode(name) for name in env.scene.ids[1:]}
+
+    before = modes()
+    while not env.is_changing_lane:
+        before |= modes()
+        env.drive(next(side for side in (LEFT, RIGHT, KEEP) if env.action_masks()[side]))
+    assert RESPECT_OTHERS_GAPS in modes().values()
+    while env.is_changing_lane:
+        env.drive(KEEP)
+    env.drive(KEEP)
+    after = modes()
+    assert len(before.keys() & after.keys()) > 3
+    assert set(after.values()) == set(before.values()) == {SUMO_CHANGES_LANES}
+
+
 # When an episode ends.
+
+
+@pytest.mark.parametrize(("duration_s", "steps"), [(12.5, 125), (12.34, 124), (0.1, 1)])
+def test_a_duration_ends_in_its_last_step(make, duration_s, steps):
+    driven = drive(make(world(episode={"duration_s": duration_s})), always(KEEP))
+    assert len(driven.lane_changing) == steps
 
 
 def test_the_course_ends_the_episode_in_the_first_decision_beyond_it(make):

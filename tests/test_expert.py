@@ -54,6 +54,25 @@ def test_the_demonstrations_are_its_own_on_other_traffic_than_the_evaluation(tra
     np.testing.assert_array_equal(demonstrations.observations, again.observations)
 
 
+def test_training_recording_and_evaluation_meet_traffic_of_their_own(tmp_path, monkeypatch):
+    met = []
+
+    def train(config, seed, traffic_seeds, observer):
+        met.append(list(itertools.islice(traffic_seeds, 50)))
+        return always(MetaAction.KEEP)
+
+    def drive_all(work, tasks, *rest):
+        met.append([task.seed for task in tasks])
+        return drive(work, tasks, *rest)
+
+    drive = run.drive_all
+    monkeypatch.setattr(ppo, "train", train)
+    monkeypatch.setattr(run, "drive_all", drive_all)
+    expert.train(SHORT, tmp_path / "mine", seed=5)
+    assert [len(seeds) for seeds in met] == [50, 2, 3]
+    assert len(set(itertools.chain(*met))) == 55
+
+
 def test_its_folder_drives_under_its_path_and_differs_from_the_shipped_expert(trained):
     world = run.world([str(trained)])
     assert world == SHORT

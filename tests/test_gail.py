@@ -97,20 +97,49 @@ def test_rewarded_for_one_action_alone_it_takes_that_more_often():
     ],
 )
 def test_what_follows_a_decision_counts_for_it(end_reason, advantages):
-    learner = gail.Ppo(
-        wrong_everywhere(),
-        SHAPE,
-        WHITENING,
-        SETTINGS.model_copy(update={"gae_lambda": 1.0}),
-        lowest_reward=-5.0,
-        seed=0,
-    )
+    driven = episode(sights(0, 4), np.zeros(4), end_reason)
+    buffer = after_an_update([driven], lambda observations, actions: np.ones(len(actions)))
+    np.testing.assert_allclose(buffer.advantages.ravel(), advantages)
+
+
+def after_an_update(driven, rewards, discount=0.5):
+    """PPO's buffer, whose critic says 2 of whatever it sees."""
+    settings = SETTINGS.model_copy(update={"gae_lambda": 1.0, "discount": discount})
+    learner = gail.Ppo(wrong_everywhere(), SHAPE, WHITENING, settings, lowest_reward=-5.0, seed=0)
     with torch.no_grad():
         learner._ppo.policy.value_net.weight.zero_()
         learner._ppo.policy.value_net.bias.fill_(2.0)
-    driven = episode(sights(0, 4), np.zeros(4), end_reason)
-    learner.update([driven], lambda observations, actions: np.ones(len(actions)), np.random.default_rng(0))
-    np.testing.assert_allclose(learner._ppo.rollout_buffer.advantages.ravel(), advantages)
+    learner.update(driven, rewards, np.random.default_rng(0))
+    return learner._ppo.rollout_buffer
+
+
+def test_after_a_crash_the_lowest_reward_is_earned_for_ever():
+    crashed = episode(sights(0, 1), [0], "collision")
+    buffer = after_an_update([crashed], lambda observations, actions: np.ones(1), discount=0.75)
+    # 1 - 5 (0.75 + 0.75^2 + ...) = 1 - 15, less the critic's 2.
+    assert buffer.advantages.ravel() == pytest.approx([1.0 - 15.0 - 2.0])
+
+
+def test_one_rollout_knows_nothing_of_the_next():
+    def rewards(observations, actions):
+        return np.where(actions == 1, 7.0, 1.0)
+
+    one, two = episode(sights(0, 4), np.zeros(4)), episode(sights(1, 3), np.ones(3))
+    alone = [after_an_update([driven], rewards).advantages.ravel() for driven in (one, two)]
+    together = after_an_update([one, two], rewards).advantages.ravel()
+    np.testing.assert_allclose(together, np.concatenate(alone), rtol=1e-5)
+
+
+def test_it_is_paid_for_what_came_of_a_decision_and_taught_about_the_decision():
+    refused = episode(sights(0, 4), np.full(4, 3), carried_out=np.zeros(4))
+    before = ppo()._ppo.policy
+    whitened = torch.tensor((refused.observations - WHITENING.mean) / WHITENING.std, dtype=torch.float32)
+    with torch.inference_mode():
+        asked = before.get_distribution(whitened).log_prob(torch.full((4,), 3)).numpy()
+    buffer = after_an_update([refused], lambda observations, actions: np.asarray(actions, dtype=np.float64))
+    assert buffer.rewards.ravel() == pytest.approx([0.0, 0.0, 0.5 * 2.0])  # the critic's word on what comes after
+    assert buffer.actions.ravel().tolist() == [3.0] * 3
+    np.testing.assert_allclose(buffer.log_probs.ravel(), asked[:3], atol=1e-5)
 
 
 def test_gone_on_with_it_is_the_same_as_uninterrupted():

@@ -233,3 +233,10 @@ def test_speed_is_told_exactly_where_something_is_hit(seed):
 def test_a_lidar_without_rays_or_range_is_refused(n_rays, max_range_m, message):
     with pytest.raises(ValueError, match=f"^{message}$"):
         Lidar(n_rays, max_range_m)
+
+
+@pytest.mark.parametrize(("host_m", "ray"), [(49.0, 0), (-49.0, 2)])
+def test_a_short_rail_is_seen_as_far_as_the_range_reaches(host_m, ray):
+    rails = np.array([[145.0, -1.0, 145.0, 1.0], [-145.0, -1.0, -145.0, 1.0]])
+    distance, _ = Lidar(4, RANGE_M, rails).scan(host_m, 0.0, 0.0, 0.0, boxes())
+    assert distance[ray] == pytest.approx(96.0)

@@ -13,15 +13,16 @@ N_FEATURES = 48
 
 @pytest.fixture
 def run(tmp_path):
-    """Make a run whose every figure was these values, iteration by iteration."""
+    """Make a run whose every figure was these values, iteration by iteration, but for columns of their own."""
 
-    def make(name, values):
+    def make(name, values, **own):
         shape = Shape(N_FEATURES, 2)
         clone = PolicyParameters(np.zeros(shape.size), shape, Whitening(np.zeros(N_FEATURES), np.ones(N_FEATURES)))
         directory = RunDirectory.create(tmp_path / name, Config(), 0, {}, clone)
         rows = tuple(
             {column: float(value) for column in PROGRESS_COLUMNS}
             | {"iteration": number, "environment_steps": 1_000_000 * number, "seconds": 120.0 * number}
+            | own
             for number, value in enumerate(values, 1)
         )
         directory.save(Checkpoint(clone, {"judge.weights": np.zeros(1)}, rows))
@@ -70,7 +71,9 @@ def test_groups_have_curves_of_their_own_and_are_named_in_the_legend(run):
 
 
 def test_the_judges_two_means_share_a_panel(run):
-    assert len(lines(plot.learning_curves([run("mine", [1, 2])]), panel=3)) == 2
+    figure = plot.learning_curves([run("mine", [1, 2], judge_expert_mean=0.6, judge_learner_mean=0.4)])
+    drawn = {line.get_linestyle(): line.get_ydata().tolist() for line in figure.axes[3].lines if len(line.get_ydata())}
+    assert drawn == {"-": [0.6, 0.6], "--": [0.4, 0.4]}  # as its title says
 
 
 def test_a_run_without_an_iteration_is_refused(run):

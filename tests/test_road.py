@@ -187,6 +187,38 @@ def test_limits_ahead_are_those_of_the_edges_that_follow_as_far_as_one_can_see(n
     assert far.edges[0].limits_ahead == ((0.0, 20.0),)
 
 
+def test_a_limit_ahead_is_the_fastest_lanes_and_begins_where_its_edge_does(network):
+    def limited(name, x, *lanes_mps):
+        row = edge(name, x=x)
+        for lane, limit in enumerate(lanes_mps):
+            row = row.replace(f'index="{lane}" disallow="pedestrian" speed="30"', f'index="{lane}" speed="{limit}"')
+        return row
+
+    edges = limited("a", (0.0, 70.0), 30, 30), limited("b", (70.0, 200.0), 10, 20), limited("c", (200.0, 900.0), 15, 5)
+    chain = road.load(network(*edges, *(leads_on(*way, [0, 1]) for way in ("ab", "bc"))))
+    assert chain.edges[0].limits_ahead == ((0.0, 20.0), (130.0, 15.0))
+
+
+def test_on_a_loop_a_lane_that_ends_after_the_first_edge_leads_on_no_farther(network):
+    ways = leads_on("a", "b", [1, 2]), leads_on("b", "a", [0, 1, 2])
+    loop = road.load(network(edge("a", lanes=3), edge("b", lanes=3, x=(100.0, 250.0)), *ways))
+    assert {edge.id: edge.leads_on_m for edge in loop.edges} == {
+        "a": (0.0, math.inf, math.inf),
+        "b": (100.0, math.inf, math.inf),
+    }
+
+
+def test_of_two_ways_on_from_a_lane_the_longer_counts(network):
+    # From a's only way to the right, lane 0 of b ends with b, lane 1 leads on.
+    ways = leads_on("a", "b", [0, 1], to=[1, 1]), leads_on("a", "b", [1], to=[0]), leads_on("b", "c", [1])
+    chain = road.load(network(edge("a"), edge("b", x=(100.0, 250.0)), edge("c", x=(250.0, 400.0)), *ways))
+    assert chain.edges[0].leads_on_m == (math.inf, math.inf)
+
+
+def test_a_line_that_turns_back_on_itself_has_borders_all_the_same():
+    assert np.isfinite(road.offset(np.array([[0.0, 0.0], [10.0, 0.0], [0.0, 0.0]]), 1.6)).all()
+
+
 def test_lanes_of_different_widths_are_half_of_either_apart(network):
     file = Path(network(edge("a", lanes=3, width=3.0)))
     right, left = file.read_text().split('id="a_1"')

@@ -180,6 +180,17 @@ def test_ray_is_an_extra_and_its_absence_is_told(monkeypatch):
         pass
 
 
+def test_sumos_own_driver_has_its_hands_off():
+    env = HighwayEnv(MINUTE, hands_off=True)
+    env.reset(seed=11)
+    while not env.is_over:
+        env.drive(0)
+    expected = env.trajectory()
+    env.close()
+    assert same(drive(Task("sumo", MINUTE, 11)), expected)
+    assert not same(drive(Task("keep", MINUTE, 11)), expected)
+
+
 def test_with_ray_the_map_is_ordered_too(monkeypatch):
     # Ray's own pool imitates the standard library's, which stands in for it here.
     pool = types.SimpleNamespace(Pool=lambda: multiprocessing.pool.ThreadPool(2))

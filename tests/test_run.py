@@ -16,6 +16,7 @@ from rail_sumo import config, drivers, rollout, run, training
 from rail_sumo.errors import InputError
 from rail_sumo.highway.reward import total_reward
 from rail_sumo.highway.simulation import HOST
+from rail_sumo.imitation import gail
 from rail_sumo.imitation.demonstrations import Demonstrations
 from rail_sumo.policy import PolicyParameters
 from rail_sumo.records import Trajectory
@@ -427,3 +428,60 @@ def test_a_run_keeps_the_number_of_iterations_that_the_default_was(small, driven
     run.train(small.model_copy(update={"train": train}), tmp_path / "run", seed=1)
     assert RunDirectory(tmp_path / "run").config.train.iterations == 20
     assert RunDirectory(tmp_path / "run").checkpoint().iteration == 20
+
+
+def test_one_layer_is_one_layer(small, driven, tmp_path):
+    linear = small.model_copy(update={"policy": small.policy.model_copy(update={"layers": 1})})
+    run.train(linear, tmp_path / "run", seed=1)
+    assert RunDirectory(tmp_path / "run").clone.shape.hidden is None
+
+
+def test_gail_knows_the_worst_that_its_judge_can_pay(small, driven, tmp_path, monkeypatch):
+    worst = []
+    ppo = gail.Ppo
+    monkeypatch.setattr(
+        gail,
+        "Ppo",
+        lambda *a, lowest_reward, **k: worst.append(lowest_reward) or ppo(*a, lowest_reward=lowest_reward, **k),
+    )
+    changes = {
+        "train": small.train.model_copy(update={"learner": "gail"}),
+        "judge": small.judge.model_copy(update={"reward_clip": 3.0}),
+    }
+    run.train(small.model_copy(update=changes), tmp_path / "run", seed=1)
+    assert worst == [-3.0]
+
+
+def test_as_many_trajectories_are_shown_as_are_to_be(small):
+    fewer = small.model_copy(update={"train": small.train.model_copy(update={"trajectories": 2})})
+    assert training.demonstrations_of(small).n_episodes == 3
+    assert training.demonstrations_of(fewer).n_episodes == 2
+
+
+def test_demonstrations_of_another_pace_are_refused(small, tmp_path):
+    shown, features = training.demonstrations_of(small), run.feature_names(small.lidar, small.observation)
+    shown.save(tmp_path / "mine.parquet", features=features, about={"config": config.dumps(small)})
+    own = small.model_copy(
+        update={"train": small.train.model_copy(update={"demonstrations": str(tmp_path / "mine.parquet")})}
+    )
+    training.demonstrations_of(own)
+    slower = own.model_copy(update={"episode": config.Episode(decision_period_s=2.0)})
+    with pytest.raises(InputError, match=r"were recorded with episode\.decision_period_s = 1\.0, not 2\.0"):
+        training.demonstrations_of(slower)
+
+
+def test_what_is_read_is_known_by_its_content(small, tmp_path):
+    extra = tmp_path / "extra.add.xml"
+    world = small.model_copy(update={"traffic": config.Traffic(additional=(str(extra),))})
+    contents = []
+    for text in ("<additional/>", "<additional></additional>"):
+        extra.write_text(text)
+        contents.append(training.inputs_of(world))
+    assert set(contents[0]) == {"network.file", "traffic.routes", "traffic.additional", "train.demonstrations"}
+    assert [key for key in contents[0] if contents[0][key] != contents[1][key]] == ["traffic.additional"]
+
+
+@pytest.mark.parametrize(("period_s", "decisions"), [(1.0, 200), (2.0, 100), (0.1, 2000)])
+def test_the_horizon_in_decisions_depends_on_their_pace(period_s, decisions):
+    world = config.load(None, [f"episode.decision_period_s={period_s}"])
+    assert training.horizon_decisions(world) == decisions

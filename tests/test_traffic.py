@@ -257,3 +257,14 @@ def test_a_vehicle_ordered_off_the_road_or_into_another_stays_where_it_is():
         simulation.run(Command(20.0, steps=50))
         lanes = {name: libsumo.vehicle.getLaneIndex(name) for name in ("right", "left", "beside", "free")}
         assert lanes == {"right": 0, "left": 4, "beside": 3, "free": 2}
+
+
+def test_those_far_behind_the_host_change_lanes_while_it_does(window, monkeypatch):
+    begun = window(vehicles=40, lane_change_every_s=2.0)
+    ordered = []
+    monkeypatch.setattr(begun.simulation, "order_lane_change", lambda name, side: ordered.append(begun.ahead_m()[name]))
+    for _ in range(10):
+        begun.drive(host_changing_lane=True)
+    assert min(ordered) < -CLEAR_OF_CHANGE_M - 10.0
+    assert max(ordered) > CLEAR_OF_CHANGE_M + 10.0
+    assert np.abs(ordered).min() >= CLEAR_OF_CHANGE_M - 1.0
