@@ -325,9 +325,9 @@ class Simulation:
         A yellow one that the host could not stop at comfortably is passed.
         """
         metres, state = self._next_signal()
-        stopping_m = libsumo.vehicle.getSpeed(HOST) ** 2 / (2 * self._adas.comfort_braking_mps2)
-        is_red = state in ("r", "u") or (state == "y" and stopping_m <= metres)
-        return ((metres - STOP_SHORT_M - to_edge_end_m, 0.0),) if is_red else ()
+        if state == "y" and libsumo.vehicle.getSpeed(HOST) ** 2 / (2 * self._adas.comfort_braking_mps2) > metres:
+            return ()
+        return ((metres - STOP_SHORT_M - to_edge_end_m, 0.0),) if state in ("r", "u", "y") else ()
 
     def _next_signal(self) -> tuple[float, str]:
         """Return how far away the next signal on the host's way is, and its state as SUMO tells it; empty if none."""
