@@ -119,6 +119,28 @@ def test_at_yellow_the_host_stops_if_it_can_comfortably_and_else_drives_on(
     assert np.diff(driven.speed_mps).min() >= (-0.2 if stops else -0.01) - 1e-6
 
 
+@pytest.mark.parametrize("yellow_s", [3, 6])
+@pytest.mark.parametrize("start_speed_kmh", [42.0, 60.0, 80.0])
+@pytest.mark.parametrize("drives", ["keeping", "random"])
+def test_however_late_a_light_turns_yellow_nobody_brakes_beyond_9_mps2_or_keeps_on_into_red(
+    make, watched, signalled, yellow_s, start_speed_kmh, drives
+):
+    red, original = '<phase duration="80" state="rr"/>', signalled.read_text()
+    adas = {"start_speed_kmh": start_speed_kmh, "max_speed_kmh": 80.1}
+    for away_m in range(4, 140, 9):
+        turns_s = round((796.0 - away_m) / (start_speed_kmh / KMH), 1)
+        state = "y" if away_m % 2 else "Y"
+        yellow = f'<phase duration="{turns_s}" state="GG"/><phase duration="{yellow_s}" state="{2 * state}"/>{red}'
+        signalled.write_text(original.replace(red, yellow))
+        episode = {"duration_s": turns_s + 30.0}
+        env = make(world(network={"file": str(signalled)}, traffic=EMPTY, episode=episode, adas=adas))
+        driven = drive(env, always(KEEP) if drives == "keeping" else at_random(away_m), UNSEEN)
+        assert np.diff(driven.speed_mps).min() >= -0.9 - 1e-6
+        passed = [scene.time_s for scene in watched().scenes if scene.x_m[0] + 0.5 * scene.length_m[0] > 996.0]
+        if drives == "keeping" and passed:
+            assert passed[0] <= turns_s + yellow_s + 0.2
+
+
 @pytest.mark.parametrize("vehicles", [0, 16])
 def test_close_to_a_red_light_the_host_starts_slower_and_is_none_the_slower_later(make, signalled, vehicles):
     signalled.write_text(re.sub(r'(<lane id="wide.*?)length="996.00"', r'\1length="204.00"', signalled.read_text()))

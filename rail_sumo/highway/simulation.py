@@ -3,6 +3,7 @@
 import math
 from collections.abc import Sequence
 from pathlib import Path
+from typing import NamedTuple
 
 import libsumo
 import numpy as np
@@ -34,6 +35,13 @@ UNLIMITED = 10.0
 SUMO_CHANGES_LANES = 1621
 """SUMO's default lane-change mode."""
 
+SUMO_SPEED_MODE = 31
+"""SUMO's default speed mode."""
+IGNORE_SIGNALS = 15
+"""Speed mode: the same, but for signals."""
+YELLOW = ("y", "Y")
+"""Minor and major."""
+
 SEEDS = 2**31
 """SUMO takes seeds below this."""
 WAIT_S = 120.0
@@ -42,6 +50,17 @@ STOP_SHORT_M = 2.5
 """How far before a stop line the host stops. SUMO's own distance is 1 m, and it brakes for that harder at the end."""
 STOREY_M = 3.0
 """Vehicles farther above or below drive on another road, as on a bridge."""
+
+
+class _Signal(NamedTuple):
+    """A signal on the host's way, how far ahead of it, and its state as SUMO tells it."""
+
+    id: str
+    ahead_m: float
+    state: str
+
+
+NO_SIGNAL = _Signal("", math.inf, "")
 
 
 class Simulation:
@@ -90,6 +109,7 @@ class Simulation:
         self._routes: dict[tuple[str, ...], str] = {}
         self._edges = {edge.id: edge for edge in road.edges}
         self.speeds_mps: list[float] = []
+        self._drives_on = False  # past the next signal, though it is not green
         self._lateral_m = 0.0
         self._held: dict[str, int] = {}  # who may not change lanes now, with the lane-change mode to give back
         self.collisions = 0
@@ -290,7 +310,7 @@ class Simulation:
         speed, lane = vehicle.getSpeed(HOST), vehicle.getLaneIndex(HOST)
         limit = libsumo.lane.getMaxSpeed(vehicle.getLaneID(HOST))
         if edge is None or lane not in (lanes := edge.lanes):  # on a junction, or strayed
-            ahead = (*self._limits_beyond_this_lane(), *self._red_light(0.0))
+            ahead = (*self._limits_beyond_this_lane(), *self._stop_ahead(0.0))
             return HostState(speed, lane, lane, lane, 0.0, 0.0, 0.0, 0.0, (math.inf,), limit, ahead)
         here = lane - edge.first_lane
         to_edge_end_m = edge.length_m - vehicle.getLanePosition(HOST)
@@ -305,7 +325,7 @@ class Simulation:
             to_right_m=edge.to_right_m[here],
             leads_on_m=edge.leads_on_m,
             limit_mps=limit,
-            limits_ahead=(*edge.limits_ahead, *self._red_light(to_edge_end_m)),
+            limits_ahead=(*edge.limits_ahead, *self._stop_ahead(to_edge_end_m)),
         )
 
     def _limits_beyond_this_lane(self) -> tuple[tuple[float, float], ...]:
@@ -319,20 +339,24 @@ class Simulation:
         beyond = ((to_it_m + ahead.length_m + metres, limit) for metres, limit in ahead.limits_ahead)
         return (to_it_m, ahead.limit_mps), *beyond
 
-    def _red_light(self, to_edge_end_m: float) -> tuple[tuple[float, float], ...]:
-        """Return the next signal, unless it is green, as a limit of 0: SUMO would brake for it as late as it can.
+    def _stop_ahead(self, to_edge_end_m: float) -> tuple[tuple[float, float], ...]:
+        """Return a signal that the host stops at as a limit of 0: SUMO would brake for it as late as it can."""
+        signal = self._next_signal()
+        return ((signal.ahead_m - STOP_SHORT_M - to_edge_end_m, 0.0),) if self._stops_at(signal) else ()
 
-        A yellow one that the host could not stop at comfortably is passed.
-        """
-        metres, state = self._next_signal()
-        if state == "y" and libsumo.vehicle.getSpeed(HOST) ** 2 / (2 * self._adas.comfort_braking_mps2) > metres:
-            return ()
-        return ((metres - STOP_SHORT_M - to_edge_end_m, 0.0),) if state in ("r", "u", "y") else ()
+    def _next_signal(self) -> _Signal:
+        ahead = libsumo.vehicle.getNextTLS(HOST) if self._has_signals else ()
+        return _Signal(ahead[0][0], ahead[0][2], ahead[0][3]) if ahead else NO_SIGNAL
 
-    def _next_signal(self) -> tuple[float, str]:
-        """Return how far away the next signal on the host's way is, and its state as SUMO tells it; empty if none."""
-        signals = libsumo.vehicle.getNextTLS(HOST) if self._has_signals else ()
-        return signals[0][2:] if signals else (math.inf, "")
+    def _stops_at(self, signal: _Signal) -> bool:
+        """Return whether the host stops: at red, and at yellow if it would not get there in time, while it can."""
+        if signal.state not in (*YELLOW, "r", "u"):
+            return False
+        speed = libsumo.vehicle.getSpeed(HOST)
+        if speed**2 / (2 * self._adas.emergency_braking_mps2) > signal.ahead_m:
+            return False
+        left_s = libsumo.trafficlight.getNextSwitch(signal.id) - libsumo.simulation.getTime()
+        return signal.state not in YELLOW or speed * left_s < signal.ahead_m
 
     def gaps(self, side: int) -> Gaps:
         """Return the gaps in the host's own lane (0) or the one to its left (+1) or right (-1)."""
@@ -363,13 +387,15 @@ class Simulation:
     # Time goes on.
 
     def run(self, command: Command) -> int:
-        """Carry a command out, to its end unless the host collides or a signal ahead changes.
+        """Carry a command out and return the number of steps driven.
 
-        Returns:
-            The number of steps driven.
+        They are fewer than asked where the host collides, or a signal ahead changes or is yellow.
         """
-        vehicle = libsumo.vehicle
-        _, signal = self._next_signal()
+        vehicle, signal = libsumo.vehicle, self._next_signal()
+        drives_on = signal.state in (*YELLOW, "r", "u") and not self._stops_at(signal)
+        if drives_on != self._drives_on:
+            vehicle.setSpeedMode(HOST, IGNORE_SIGNALS if drives_on else SUMO_SPEED_MODE)
+            self._drives_on = drives_on
         vehicle.setSpeed(HOST, command.speed_mps)
         if bool(command.lateral_m) != bool(self._held):
             self._release() if self._held else self._hold()
@@ -380,7 +406,7 @@ class Simulation:
             self._lateral_m = command.lateral_m
         for driven in range(1, command.steps + 1):
             self._step()
-            if self.contact or (self._has_signals and self._next_signal()[1] != signal):
+            if self.contact or signal.state in YELLOW or self._next_signal().state != signal.state:
                 return driven
         return command.steps
 
