@@ -7,7 +7,8 @@ import os
 import shlex
 import sys
 from collections.abc import Iterator, Mapping
-from contextlib import contextmanager, nullcontext
+from contextlib import contextmanager
+from functools import partial
 from importlib.metadata import version
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Literal
@@ -41,6 +42,8 @@ Overrides = Annotated[
 ]
 NetworkFile = Annotated[str | None, typer.Option(metavar="FILE", help="A .net.xml or a shipped network's name.")]
 Routes = Annotated[list[str] | None, typer.Option(metavar="FILE", help="Your own demand; repeatable.")]
+FCD = "fcd"
+"""The folder of the floating-car data beside the tables."""
 _SEED = "Everything random follows from it."
 Seed = Annotated[int, typer.Option(min=0, help=_SEED)]
 Workers = Annotated[str, typer.Option(metavar="N|ray", help="Processes that drive.", show_default="as many as cores")]
@@ -126,18 +129,25 @@ def evaluate(
 
     if out:
         files.check_folder(out, overwrite=overwrite, instead=", or replace its tables with --overwrite")
+        if (out / FCD).exists() and not fcd:
+            raise InputError(
+                f"'{out / FCD}' is of other drives than these; replace it by --fcd, or choose another --out"
+            )
     elif fcd:
         raise InputError("--fcd writes into the folder of --out; name one")
     n_workers = _workers(workers)
     world = run.world(policies, _overrides(network, routes, overrides))
     who = {policy: run.find_driver(policy, world) for policy in policies}
-    with files.whole_folder(out, overwrite=overwrite) if out else nullcontext() as whole, _bars() as observer:
-        traces = whole / "fcd" if whole and fcd else None
-        tables = run.evaluate(
-            who, world, episodes=episodes, seed=seed, workers=n_workers, observer=observer, fcd=traces
-        )
-        if whole:
-            report.write(whole, episodes=tables[0], summary=tables[1], overwrite=True)
+    with _bars() as bars:
+        drive = partial(run.evaluate, who, world, episodes=episodes, seed=seed, workers=n_workers, observer=bars)
+        if out and fcd:
+            with files.whole_folder(out, overwrite=overwrite) as whole:
+                tables = drive(fcd=whole / FCD)
+                report.save(whole, episodes=tables[0], summary=tables[1])
+        else:
+            tables = drive()
+            if out:
+                report.write(out, episodes=tables[0], summary=tables[1], overwrite=overwrite)
     _show(tables, out)
 
 

@@ -56,7 +56,7 @@ def train(
     )
     about = {"driver": "expert", "seed": str(seed), "config": dumps(config)}
     with whole_folder(out) as whole:
-        report.write(whole, episodes=tables[0], summary=tables[1], overwrite=True)
+        report.save(whole, episodes=tables[0], summary=tables[1])
         features = feature_names(config.lidar, config.observation)
         save_file(_tensors(expert), whole / EXPERT_POLICY, metadata={"features": json.dumps(features)})
         (whole / EXPERT_RECIPE).write_text(dumps(config), encoding="utf-8")

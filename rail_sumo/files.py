@@ -65,7 +65,7 @@ def whole_folder(folder: Path, *, overwrite: bool = False) -> Iterator[Path]:
         place = folder if merging else folder.parent
         place.mkdir(parents=True, exist_ok=True)
         with tempfile.TemporaryDirectory(dir=place, prefix=f".{folder.name}.") as scratch:
-            partial = Path(scratch, folder.name)
+            partial = Path(scratch, "whole")
             partial.mkdir()
             yield partial
             if merging:

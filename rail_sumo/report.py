@@ -80,9 +80,14 @@ def write(folder: Path, *, overwrite: bool = False, **tables: pd.DataFrame) -> N
         InputError: the folder exists, cannot be written to, or the disk is full.
     """
     with whole_folder(folder, overwrite=overwrite) as partial:
-        for name, table in tables.items():
-            table.to_csv(partial / f"{name}.csv", index=False)
-            table.to_parquet(partial / f"{name}.parquet", index=False)
+        save(partial, **tables)
+
+
+def save(folder: Path, **tables: pd.DataFrame) -> None:
+    """Write tables into a folder that is not whole yet, each under its name as CSV and as Parquet."""
+    for name, table in tables.items():
+        table.to_csv(folder / f"{name}.csv", index=False)
+        table.to_parquet(folder / f"{name}.parquet", index=False)
 
 
 # What the terminal shows: heading -> metric and format. The rest is in the files.

@@ -7,11 +7,13 @@ from pathlib import Path
 from urllib.parse import quote
 
 import pandas as pd
+import pyarrow as pa
+import pyarrow.parquet as pq
 
 from rail_sumo import assets, config, drivers, metrics, report, training
 from rail_sumo.config import Config, dumps
 from rail_sumo.errors import InputError, ObservationError, did_you_mean
-from rail_sumo.files import check_file
+from rail_sumo.files import check_file, check_folder
 from rail_sumo.highway.env import HighwayEnv
 from rail_sumo.highway.observation import feature_names
 from rail_sumo.highway.simulation import floating_car_data
@@ -28,6 +30,9 @@ from rail_sumo.rollout import (
     traffic_seed,
 )
 from rail_sumo.run_directory import CONFIG, RunDirectory
+
+PART = "part.parquet"
+"""The file of one episode's floating-car data, in a folder of its own."""
 
 Tables = tuple[pd.DataFrame, pd.DataFrame]
 """The `episodes` table and its `summary`."""
@@ -86,12 +91,12 @@ def evaluate(
             `pandas.read_parquet` reads the folder as one table, to which it adds `policy` and `episode`.
 
     Raises:
-        InputError: fewer than one episode, a network or demand that cannot be driven, or floating-car data from a
-            cluster.
+        InputError: fewer than one episode, a network or demand that cannot be driven, or floating-car data that cannot
+            be written.
     """
     require_drivable(world, episodes)
-    if fcd and workers == "ray":
-        raise InputError("floating-car data are written on this machine: drive with a number of --workers, not ray")
+    if fcd:
+        _check_fcd(fcd, workers)
     labels = list(itertools.product(policies, range(episodes)))
     tasks = [
         Task(
@@ -107,6 +112,8 @@ def evaluate(
         {"policy": name, "episode": episode, **metrics.row(trajectory, world.adas)}
         for (name, episode), trajectory in zip(labels, driven, strict=True)
     ]
+    if fcd:
+        _require_whole(fcd)
     table = report.episodes(rows)
     return table, report.summary(table)
 
@@ -174,23 +181,44 @@ def train(
             demonstrations.
     """
     require_drivable(config, config.train.evaluation_episodes)
+    expert: dict[str, Who] = {}
+    with suppress(ObservationError):  # it senses something else: there is nothing to set beside
+        expert = {report.EXPERT: drivers.load_expert(config)}
     run = training.learn(config, out, seed=seed, workers=workers, resume=resume, observer=observer)
     policies: dict[str, Who] = {config.train.learner: run.policy(config)}
     if training.learner_of(config).improves_its_clone:
         policies["clone"] = run.clone
-    with suppress(ObservationError):  # the expert senses something else: there is nothing to set beside
-        policies[report.EXPERT] = drivers.load_expert(config)
+    policies |= expert
     episodes = config.train.evaluation_episodes
     tables = evaluate(policies, config, episodes=episodes, seed=seed, workers=workers, observer=observer)
     report.write(out, episodes=tables[0], summary=tables[1], overwrite=True)
     return tables
 
 
+def _check_fcd(folder: Path, workers: WorkerCount) -> None:
+    if workers == "ray":
+        raise InputError("floating-car data are written on this machine: drive with a number of --workers, not ray")
+    check_folder(folder)
+    if {":", "$"}.intersection(str(folder)):
+        raise InputError(f"SUMO writes to no path with ':' or '$' in it; got '{folder}' for its floating-car data")
+
+
 def _floating_car_data(folder: Path, world: Config, **part: str | int) -> tuple[str, ...]:
     """Return the options for one episode's part of a table, in a new folder named after the part as Hive does."""
     place = folder.joinpath(*(f"{key}={quote(str(value), safe='')}" for key, value in part.items()))
     place.mkdir(parents=True)
-    return floating_car_data(place / "part.parquet", reach_m=world.lidar.max_range_m)
+    return floating_car_data(place / PART, reach_m=world.lidar.max_range_m)
+
+
+def _require_whole(folder: Path) -> None:
+    """Raise InputError if a part is not whole, which SUMO does not tell."""
+    for part in sorted(folder.rglob(PART)):
+        try:
+            pq.read_metadata(part)
+        except (OSError, pa.ArrowException):
+            raise InputError(
+                f"SUMO could not write its floating-car data whole ('{part}'); is the disk full?"
+            ) from None
 
 
 def require_drivable(world: Config, episodes: int = 1) -> None:

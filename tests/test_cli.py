@@ -87,6 +87,8 @@ BAD = {
     "eval cut": "'cut/clone.safetensors' is truncated or damaged (SafetensorError: ",
     "eval keep --out exists": "output folder 'exists' exists; choose another, or replace its tables with --overwrite",
     "eval keep --out file/out": "cannot write to 'file/out': '",
+    "eval keep --fcd --out 12:30": "SUMO writes to no path with ':' or '$' in it; got '",
+    "train --set train.expert=none": "no expert here: 'none/manifest.json' is missing; train one (rail-sumo expert tr",
     "eval keep --fcd": "--fcd writes into the folder of --out; name one",
     "eval keep --workers ray --fcd --out new": "floating-car data are written on this machine: drive with a number of",
     "eval keep --network highwy5": "network 'highwy5' not found; did you mean 'highway5'? (available: highway3, ",
@@ -138,6 +140,26 @@ def test_eval_prints_a_row_per_policy_and_writes_four_tables(rail_sumo, tmp_path
     episodes = pd.read_csv(tmp_path / "out" / "episodes.csv")
     assert list(episodes["policy"]) == ["keep", "keep", "rule", "rule"]
     assert set(episodes["duration_s"][:2]) == {5.0}
+
+
+def test_floating_car_data_lie_beside_the_tables_that_tell_of_the_same_drives(rail_sumo, tmp_path):
+    assert rail_sumo("eval", "keep", "rule", "--episodes", "1", "--out", "out", "--fcd", *SHORT)[0] == 0
+    assert {path.name for path in (tmp_path / "out" / "fcd").iterdir()} == {"policy=keep", "policy=rule"}
+    before = (tmp_path / "out" / "episodes.csv").read_bytes()
+    code, _, err = rail_sumo("eval", "keep", "--episodes", "1", "--out", "out", "--overwrite", *SHORT)
+    assert (code, err) == (
+        2,
+        "rail-sumo: 'out/fcd' is of other drives than these; replace it by --fcd, or choose another --out\n",
+    )
+    assert (tmp_path / "out" / "episodes.csv").read_bytes() == before
+    assert rail_sumo("eval", "keep", "--episodes", "1", "--out", "out", "--overwrite", "--fcd", *SHORT)[0] == 0
+    assert {path.name for path in (tmp_path / "out" / "fcd").iterdir()} == {"policy=keep"}
+    assert pd.read_csv(tmp_path / "out" / "episodes.csv")["policy"].tolist() == ["keep"]
+
+
+def test_tables_go_into_the_folder_one_is_in(rail_sumo, tmp_path):
+    assert rail_sumo("eval", "keep", "--episodes", "1", "--out", ".", "--overwrite", *SHORT)[0] == 0
+    assert (tmp_path / "episodes.csv").exists()
 
 
 @pytest.fixture

@@ -367,6 +367,23 @@ def test_floating_car_data_tell_of_the_very_drives_that_the_tables_tell_of(tmp_p
     assert 50.0 < away_m.max() <= world.lidar.max_range_m
 
 
+def test_floating_car_data_that_were_cut_off_are_refused(tmp_path, monkeypatch):
+    """On a full disk SUMO stops writing and tells nobody."""
+    drive_all = run.drive_all
+
+    def cut(work, tasks, *rest):
+        yield from drive_all(work, tasks, *rest)
+        part = Path(tasks[1].outputs[1])
+        part.write_bytes(part.read_bytes()[:-100])
+
+    monkeypatch.setattr(run, "drive_all", cut)
+    world = config.load(None, ["episode.duration_s=2.0"])
+    with pytest.raises(InputError, match=r"could not write .* whole \('.*episode=1/part\.parquet'\); is the disk full"):
+        run.evaluate({"rule": "rule"}, world, episodes=2, seed=0, fcd=tmp_path / "fcd")
+    with pytest.raises(InputError, match="exists"):
+        run.evaluate({"rule": "rule"}, world, episodes=2, seed=0, fcd=tmp_path / "fcd")
+
+
 def test_one_worker_and_two_learn_the_same_policy_bit_for_bit(tmp_path):
     brief = ["search.n_directions=2", "judge.minibatches=2", "cloning.epochs=1", "train.trajectories=1"]
     world = config.load(
