@@ -406,7 +406,9 @@ class Simulation:
             self._lateral_m = command.lateral_m
         for driven in range(1, command.steps + 1):
             self._step()
-            if self.contact or signal.state in YELLOW or self._next_signal().state != signal.state:
+            if self.contact:
+                return driven
+            if self._has_signals and (signal.state in YELLOW or self._next_signal().state != signal.state):
                 return driven
         return command.steps
 
