@@ -73,3 +73,9 @@ def test_departures_out_of_order_are_told(tmp_path, departures, late):
     told = list(demand.warnings(demand.check([path])[0]))
     assert len(told) == (late is not None)
     assert all(f"is not in order of departure: {late} may enter late" in one for one in told)
+
+
+def test_a_flow_departs_when_it_begins(tmp_path):
+    path = written(tmp_path, '<routes><flow id="f" begin="1000"/><vehicle id="v" depart="90"/></routes>')
+    (told,) = demand.warnings(demand.check([path])[0])
+    assert "is not in order of departure: 'v' may enter late" in told

@@ -63,6 +63,12 @@ def test_fresh_and_stored_observations_are_the_same_numbers():
     assert fresh.observations.tolist() == [[float(np.float32(1 / 3)), float(np.float32(2 / 7))]]
 
 
+def test_episodes_may_have_any_numbers():
+    three = Demonstrations(np.zeros((3, 2)), np.array([1, 2, 3]), np.array([7, 3, 7]))
+    assert three.n_episodes == 2
+    assert three.take(1).actions.tolist() == [2]
+
+
 @pytest.mark.parametrize("n_episodes", [0, 4])
 def test_take_refuses_more_than_there_are(n_episodes):
     message = rf"{n_episodes} demonstrated trajectories wanted, and there are 3; set train.trajectories to 1\.\.3"
@@ -155,6 +161,10 @@ def without(name):
     [
         (without("action"), "have no column 'action'"),
         (without("distance_0_m"), r"have 1 features \(no 'distance_0_m'\), the configuration wants 2"),
+        (
+            without("distance_0_m") | {"distance_1_m": pa.array([1.0, 1.0])},
+            r"have 2 features \(no 'distance_0_m'\), the configuration wants 2; ",
+        ),
         (
             COLUMNS | {"host_speed_mps": pa.array([1.0, 1.0])},
             r"have 3 features \(also 'host_speed_mps'\), the configuration wants 2; set \[lidar\] and \[observation\]",

@@ -192,3 +192,18 @@ def test_a_decision_is_judged_as_what_came_of_it():
     given, same, other = judge().returns(rollouts)
     assert given == same
     assert given != other
+
+
+def test_torch_computes_in_one_thread_and_has_as_many_as_before_after(monkeypatch):
+    one, used = judge(), []
+    pairs = one._pairs
+    monkeypatch.setattr(one, "_pairs", lambda *given: used.append(torch.get_num_threads()) or pairs(*given))
+    before = torch.get_num_threads()
+    torch.set_num_threads(3)
+    try:
+        one.fit(demonstrations(), [rollout(5)], np.random.default_rng(0))
+        one.returns([rollout(5)])
+        assert set(used) == {1}
+        assert torch.get_num_threads() == 3
+    finally:
+        torch.set_num_threads(before)

@@ -127,6 +127,30 @@ def test_a_failure_leaves_nothing_behind(tmp_path, monkeypatch):
     assert list(tmp_path.iterdir()) == []
 
 
+def test_the_recipe_is_what_ppo_is_trained_by(monkeypatch):
+    class Stop(Exception):
+        pass
+
+    def look(policy, env, **given):
+        seen.update(given, world=env.config, first=env.reset()[0], traffic=env._seed)
+        raise Stop
+
+    seen = {}
+    monkeypatch.setattr(ppo, "MaskablePPO", look)
+    recipe = ["expert.entropy=0.25", "expert.discount=0.5", "expert.horizon_s=30.0", "observation.frames=2"]
+    world = config.load(None, [*recipe, "expert.hidden=[7]", "expert.epochs=3", "expert.batch_size=32"])
+    with pytest.raises(Stop):
+        ppo.train(world, 4, itertools.count(900))
+    assert (seen["ent_coef"], seen["gamma"], seen["n_epochs"], seen["batch_size"]) == (0.25, 0.5, 3, 32)
+    assert (seen["seed"], seen["n_steps"], seen["policy_kwargs"]["net_arch"]) == (4, 2048, [7])
+    assert seen["world"] == world.practice(30.0)
+    assert seen["traffic"] == 900
+    two_frames = np.tile([*[100.0] * 24, *[10.0] * 24], 2)
+    np.testing.assert_array_equal(ppo.scale_of(world, 96), two_frames)
+    assert np.abs(seen["first"]).max() <= 10.0  # distances of up to 1, relative speeds in tens of m/s
+    assert 0.5 < seen["first"].max() <= 1.0
+
+
 def test_ppo_folds_its_scale_into_the_first_layer(left_alone_by):
     """The network that is read out must decide on plain observations as the trained one did on scaled ones."""
     tiny = config.load(None, ["expert.decisions=50", "expert.decisions_per_update=64", "expert.hidden=[4]"])

@@ -73,6 +73,12 @@ def test_time_to_collision_is_summarised_where_the_host_closed_in():
     assert never[["mean", "iqm", "low", "high"]].isna().all()
 
 
+def test_an_expert_that_never_closed_in_leaves_the_ratio_to_the_rest():
+    expert = rows("expert", [60.0], min_ttc_s=np.inf) + rows("expert", [60.0], min_ttc_s=2.0)
+    beside = report.episodes(rows("rule", [60.0, 60.0], min_ttc_s=3.0) + expert)
+    assert summarised(beside, "rule", "min_ttc_s")["ratio_to_expert"] == 1.5
+
+
 def test_the_same_episodes_give_the_same_summary():
     episodes = report.episodes(rows("rule", [60.1, 62.3, 70.7]))
     pd.testing.assert_frame_equal(report.summary(episodes), report.summary(episodes))

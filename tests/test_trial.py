@@ -28,3 +28,11 @@ def test_a_check_that_fails_leaves_no_simulation_open(tmp_path):
     for _ in range(2):
         with pytest.raises(InputError, match="no vehicle of the demand is on the road at 60 s"):
             trial.check(world(traffic={"routes": (str(late),)}))
+
+
+def test_the_check_tells_of_a_demand_out_of_order(tmp_path):
+    path = tmp_path / "late.rou.xml"
+    vehicles = "".join(f'<vehicle id="v{at}" depart="{at}"><route edges="highway"/></vehicle>' for at in (0, 50, 40))
+    path.write_text(f"<routes>{vehicles}</routes>")
+    (told,) = trial.check(world(traffic={"routes": (str(path),)}))[1]
+    assert "is not in order of departure: 'v40' may enter late" in told
