@@ -2,6 +2,7 @@
 
 import itertools
 import re
+import shutil
 import subprocess
 import sys
 import time
@@ -10,8 +11,9 @@ from functools import partial
 import numpy as np
 import pandas as pd
 import pytest
+from safetensors.numpy import load_file, save_file
 
-from rail_sumo import config, experiment, plot, reproduce, run, training
+from rail_sumo import assets, config, experiment, plot, reproduce, run, training
 from rail_sumo.config import dumps
 from rail_sumo.errors import InputError
 from rail_sumo.experiment import Experiment
@@ -180,6 +182,26 @@ def test_other_files_under_the_same_names_are_another_experiment(world, done, tm
     monkeypatch.setattr(training, "inputs_of", lambda config: {"network.file": "changed"})
     with pytest.raises(InputError, match=r"the content of network\.file has changed"):
         table1(world, tmp_path, seeds=1)
+
+
+def test_drivers_that_do_not_train_are_driven_again_on_other_files(done, tmp_path, monkeypatch):
+    mine = shutil.copytree(assets.data_root() / "expert", tmp_path / "mine")
+    world = config.load(None, [f"train.evaluation_episodes={N_EPISODES}", f"train.expert={mine}"])
+
+    def driven():
+        done.clear()
+        Experiment(world, tmp_path / "out", 1).drive([("rule", 0, 0), reproduce.EXPERT_CELL])
+        return [who for _, who, _ in done]
+
+    assert driven() == ["rule", "expert"]
+    assert driven() == []
+    monkeypatch.setattr(training, "inputs_of", lambda config: {"network.file": "changed"})
+    assert driven() == ["rule", "expert"]
+    policy, manifest = mine / assets.EXPERT_POLICY, mine / assets.MANIFEST
+    before = assets.sha256(policy)
+    save_file(load_file(policy), policy, metadata={"another": "one"})
+    manifest.write_text(manifest.read_text().replace(before, assets.sha256(policy)))
+    assert driven() == ["expert"]
 
 
 def test_a_cell_from_before_a_key_was_there_is_finished(world, done, tmp_path, monkeypatch):
