@@ -17,7 +17,7 @@ import pandas as pd
 import pyarrow as pa
 import pyarrow.parquet as pq
 
-from rail_sumo import assets, drivers, report, rollout, run, training
+from rail_sumo import drivers, report, rollout, run, training
 from rail_sumo.config import Config, dumps, validate
 from rail_sumo.errors import InputError
 from rail_sumo.files import check_folder, whole_file
@@ -175,8 +175,7 @@ class _Work:
         """The files that the result follows from."""
         inputs = training.inputs_of(self.config)
         if self.cell.learner == report.EXPERT:
-            folder = self.config.train.expert_folder
-            inputs["train.expert"] = assets.sha256(assets.expert(assets.EXPERT_POLICY, folder))
+            inputs |= training.expert_input(self.config)
         return inputs
 
 

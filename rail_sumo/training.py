@@ -337,5 +337,10 @@ def inputs_of(config: Config) -> dict[str, str]:
     if learner_of(config).reads_demonstrations:
         inputs["train.demonstrations"] = assets.sha256(_demonstrations_file(config))
     if learner_of(config).asks_the_expert:
-        inputs["train.expert"] = assets.sha256(assets.expert(assets.EXPERT_POLICY, config.train.expert_folder))
+        inputs |= expert_input(config)
     return inputs
+
+
+def expert_input(config: Config) -> dict[str, str]:
+    """Return the SHA-256 of the expert that a configuration names, by the key that names it."""
+    return {"train.expert": assets.sha256(assets.expert(assets.EXPERT_POLICY, config.train.expert_folder))}

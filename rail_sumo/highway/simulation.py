@@ -41,6 +41,8 @@ IGNORE_SIGNALS = 15
 """Speed mode: the same, but for signals."""
 YELLOW = ("y", "Y")
 """Minor and major."""
+NOT_GREEN = (*YELLOW, "r", "u")
+"""States that one stops at: yellow, red, and red with yellow."""
 
 SEEDS = 2**31
 """SUMO takes seeds below this."""
@@ -350,7 +352,7 @@ class Simulation:
 
     def _stops_at(self, signal: _Signal) -> bool:
         """Return whether the host stops: at red, and at yellow if it would not get there in time, while it can."""
-        if signal.state not in (*YELLOW, "r", "u"):
+        if signal.state not in NOT_GREEN:
             return False
         speed = libsumo.vehicle.getSpeed(HOST)
         if speed**2 / (2 * self._adas.emergency_braking_mps2) > signal.ahead_m:
@@ -392,7 +394,7 @@ class Simulation:
         They are fewer than asked where the host collides, or a signal ahead changes or is yellow.
         """
         vehicle, signal = libsumo.vehicle, self._next_signal()
-        drives_on = signal.state in (*YELLOW, "r", "u") and not self._stops_at(signal)
+        drives_on = signal.state in NOT_GREEN and not self._stops_at(signal)
         if drives_on != self._drives_on:
             vehicle.setSpeedMode(HOST, IGNORE_SIGNALS if drives_on else SUMO_SPEED_MODE)
             self._drives_on = drives_on
