@@ -99,6 +99,19 @@ def test_for_a_red_light_the_host_brakes_comfortably_and_no_sooner_than_it_must(
     assert fronts[-1] > 1050.0
 
 
+def test_a_signal_that_blinks_or_is_switched_off_stops_nobody(make, watched, signalled):
+    text, phases = signalled.read_text(), '<phase duration="80" state="rr"/><phase duration="900" state="GG"/>'
+    blinking = 'type="actuated"', '<phase duration="9" minDur="5" maxDur="9" state="oo"/>'
+    off = 'type="static"', '<phase duration="1" state="OO"/>'
+    for kind, phase in (blinking, off):
+        signalled.write_text(text.replace('type="static"', kind).replace(phases, phase))
+        env = make(world(network={"file": str(signalled)}, traffic=EMPTY, episode={"duration_s": 50.0}))
+        driven = drive(env, always(ACCELERATE), UNSEEN)
+        assert driven.speed_mps.min() > 5.0  # where it blinks, it is approached as right of way is: with care
+        assert driven.speed_mps[-1] * KMH == pytest.approx(80.0)
+        assert watched().scenes[-1].x_m[0] > 1000.0
+
+
 @pytest.mark.parametrize(("away_m", "stops"), [(40.0, False), (80.0, True)])
 @pytest.mark.parametrize("hands_off", [False, True])
 def test_at_yellow_the_host_stops_if_it_can_comfortably_and_else_drives_on(

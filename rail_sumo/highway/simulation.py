@@ -3,7 +3,6 @@
 import math
 from collections.abc import Sequence
 from pathlib import Path
-from typing import NamedTuple
 
 import libsumo
 import numpy as np
@@ -13,6 +12,7 @@ from rail_sumo.errors import InputError
 from rail_sumo.highway import sumo_errors
 from rail_sumo.highway.demand import OURS
 from rail_sumo.highway.road import Road
+from rail_sumo.highway.signals import NO_SIGNAL, Signal
 from rail_sumo.records import KMH, SECONDS_PER_STEP, Command, Gaps, HostState, Scene
 
 # Ids that no demand of a user's has; the types' are those of `TYPES`.
@@ -39,10 +39,6 @@ SUMO_SPEED_MODE = 31
 """SUMO's default speed mode."""
 IGNORE_SIGNALS = 15
 """Speed mode: the same, but for signals."""
-YELLOW = ("y", "Y")
-"""Minor and major."""
-NOT_GREEN = (*YELLOW, "r", "u")
-"""States that one stops at: yellow, red, and red with yellow."""
 
 SEEDS = 2**31
 """SUMO takes seeds below this."""
@@ -52,17 +48,6 @@ STOP_SHORT_M = 2.5
 """How far before a stop line the host stops. SUMO's own distance is 1 m, and it brakes for that harder at the end."""
 STOREY_M = 3.0
 """Vehicles farther above or below drive on another road, as on a bridge."""
-
-
-class _Signal(NamedTuple):
-    """A signal on the host's way, how far ahead of it, and its state as SUMO tells it."""
-
-    id: str
-    ahead_m: float
-    state: str
-
-
-NO_SIGNAL = _Signal("", math.inf, "")
 
 
 class Simulation:
@@ -346,19 +331,15 @@ class Simulation:
         signal = self._next_signal()
         return ((signal.ahead_m - STOP_SHORT_M - to_edge_end_m, 0.0),) if self._stops_at(signal) else ()
 
-    def _next_signal(self) -> _Signal:
-        ahead = libsumo.vehicle.getNextTLS(HOST) if self._has_signals else ()
-        return _Signal(ahead[0][0], ahead[0][2], ahead[0][3]) if ahead else NO_SIGNAL
+    def _stops_at(self, signal: Signal) -> bool:
+        return signal.stops(libsumo.vehicle.getSpeed(HOST), braking_mps2=self._adas.emergency_braking_mps2)
 
-    def _stops_at(self, signal: _Signal) -> bool:
-        """Return whether the host stops: at red, and at yellow if it would not get there in time, while it can."""
-        if signal.state not in NOT_GREEN:
-            return False
-        speed = libsumo.vehicle.getSpeed(HOST)
-        if speed**2 / (2 * self._adas.emergency_braking_mps2) > signal.ahead_m:
-            return False
-        left_s = libsumo.trafficlight.getNextSwitch(signal.id) - libsumo.simulation.getTime()
-        return signal.state not in YELLOW or speed * left_s < signal.ahead_m
+    def _next_signal(self) -> Signal:
+        ahead = libsumo.vehicle.getNextTLS(HOST) if self._has_signals else ()
+        if not ahead:
+            return NO_SIGNAL
+        name, _, metres, state = ahead[0]
+        return Signal(metres, state, libsumo.trafficlight.getNextSwitch(name) - libsumo.simulation.getTime())
 
     def gaps(self, side: int) -> Gaps:
         """Return the gaps in the host's own lane (0) or the one to its left (+1) or right (-1)."""
@@ -394,7 +375,7 @@ class Simulation:
         They are fewer than asked where the host collides, or a signal ahead changes or is yellow.
         """
         vehicle, signal = libsumo.vehicle, self._next_signal()
-        drives_on = signal.state in NOT_GREEN and not self._stops_at(signal)
+        drives_on = not signal.is_green and not self._stops_at(signal)
         if drives_on != self._drives_on:
             vehicle.setSpeedMode(HOST, IGNORE_SIGNALS if drives_on else SUMO_SPEED_MODE)
             self._drives_on = drives_on
@@ -410,7 +391,7 @@ class Simulation:
             self._step()
             if self.contact:
                 return driven
-            if self._has_signals and (signal.state in YELLOW or self._next_signal().state != signal.state):
+            if self._has_signals and (signal.is_yellow or self._next_signal().state != signal.state):
                 return driven
         return command.steps
 

@@ -1,0 +1,45 @@
+"""Which signals the host stops at."""
+
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from rail_sumo.highway.signals import NO_SIGNAL, Signal
+
+STOPPING_M = 60.0 * 60.0 / 12.96 / 18.0  # from 60 km/h at 9 m/s²: 15.4 m
+
+
+def stops(signal, speed_kmh=60.0):
+    return signal.stops(speed_kmh / 3.6, braking_mps2=9.0)
+
+
+@pytest.mark.parametrize(
+    ("state", "ahead_m", "left_s", "expected"),
+    [
+        ("G", 100.0, 1.0, False),
+        ("g", 100.0, 1.0, False),
+        ("O", 100.0, 1.0, False),
+        ("s", 100.0, 1.0, False),
+        ("r", 100.0, 1.0, True),
+        ("r", 100.0, 60.0, True),
+        ("u", 100.0, 60.0, True),
+        ("y", 49.0, 3.0, False),  # 60 km/h is 50 m in 3 s
+        ("Y", 51.0, 3.0, True),
+        ("r", STOPPING_M - 0.1, 60.0, False),
+        ("r", STOPPING_M + 0.1, 60.0, True),
+        ("y", STOPPING_M - 0.1, 0.1, False),
+    ],
+)
+def test_the_host_stops_at_red_and_at_a_yellow_that_it_would_miss(state, ahead_m, left_s, expected):
+    assert stops(Signal(ahead_m, state, left_s)) == expected
+
+
+@given(st.sampled_from("ru"), st.floats(0.0, 500.0), st.floats(0.0, 25.0), st.floats(0.0, 25.0))
+def test_whoever_stops_at_red_would_also_stop_from_a_lower_speed(state, ahead_m, one, other):
+    signal = Signal(ahead_m, state, 60.0)
+    assert signal.stops(min(one, other), braking_mps2=9.0) >= signal.stops(max(one, other), braking_mps2=9.0)
+
+
+def test_no_signal_is_green():
+    assert NO_SIGNAL.is_green
+    assert not stops(NO_SIGNAL)
