@@ -11,7 +11,7 @@ from contextlib import contextmanager
 from functools import partial
 from importlib.metadata import version
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Literal
+from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 import typer
 from rich.console import Console
@@ -20,6 +20,7 @@ from rich.progress import BarColumn, MofNCompleteColumn, Progress, TaskID, TextC
 
 from rail_sumo import assets, config, files
 from rail_sumo.errors import InputError
+from rail_sumo.highway import sumocfg
 
 if TYPE_CHECKING:
     from rail_sumo.highway.road import Road
@@ -40,7 +41,8 @@ ConfigFile = Annotated[Path | None, typer.Argument(metavar="CONFIG", help="A .to
 Overrides = Annotated[
     list[str] | None, typer.Option("--set", metavar="SECTION.KEY=VALUE", help="Change one key; repeatable.")
 ]
-NetworkFile = Annotated[str | None, typer.Option(metavar="FILE", help="A .net.xml or a shipped network's name.")]
+_NETWORK = "A .net.xml, a .sumocfg with its demand, or a shipped network's name."
+NetworkFile = Annotated[str | None, typer.Option(metavar="FILE", help=_NETWORK)]
 Routes = Annotated[list[str] | None, typer.Option(metavar="FILE", help="Your own demand; repeatable.")]
 FCD = "fcd"
 """The folder of the floating-car data beside the tables."""
@@ -262,7 +264,7 @@ def record(
 
 @network.command()
 def check(
-    file: Annotated[str, typer.Argument(help="A .net.xml or a shipped network's name.")],
+    file: Annotated[str, typer.Argument(help=_NETWORK)],
     routes: Routes = None,
     overrides: Overrides = None,
 ) -> None:
@@ -287,10 +289,17 @@ def list_networks() -> None:
 
 def _overrides(network: str | None, routes: list[str] | None, overrides: list[str] | None) -> list[str]:
     """Return the options that choose a world as overrides of the configuration."""
-    # Strings in JSON are strings in TOML, but for escapes beyond 16 bits.
-    given = [f"network.file={json.dumps(network, ensure_ascii=False)}"] if network else []
-    given += [f"traffic.routes={json.dumps(routes, ensure_ascii=False)}"] if routes else []
-    return [*given, *(overrides or ())]
+    world: dict[str, Any] = {}
+    if network and Path(network).suffix == sumocfg.SUFFIX:
+        world, unread = sumocfg.read(Path(network))
+        if unread:
+            print(f"rail-sumo: not read of '{network}': {', '.join(unread)}", file=sys.stderr)
+    elif network:
+        world = {"network.file": network}
+    if routes:
+        world["traffic.routes"] = routes
+    # Values in JSON are values in TOML, but for escapes beyond 16 bits.
+    return [*(f"{key}={json.dumps(value, ensure_ascii=False)}" for key, value in world.items()), *(overrides or ())]
 
 
 def _describe(road: "Road") -> str:

@@ -200,7 +200,7 @@ def _check_fcd(folder: Path, workers: WorkerCount) -> None:
         raise InputError("floating-car data are written on this machine: drive with a number of --workers, not ray")
     check_folder(folder)
     if {":", "$"}.intersection(str(folder)):
-        raise InputError(f"SUMO writes to no path with ':' or '$' in it; got '{folder}' for its floating-car data")
+        raise InputError("SUMO writes floating-car data to no path with ':' or '$' in it; choose another for --out")
 
 
 def _floating_car_data(folder: Path, world: Config, **part: str | int) -> tuple[str, ...]:

@@ -6,7 +6,7 @@ import numpy as np
 import pandas as pd
 import pytest
 
-from rail_sumo import cli, config, expert, run
+from rail_sumo import assets, cli, config, expert, run
 from rail_sumo.errors import InputError
 from rail_sumo.highway.observation import feature_names
 from rail_sumo.policy import PolicyParameters, Shape, Whitening
@@ -42,6 +42,7 @@ def lay_out(folder):
     (folder / "exists").mkdir()
     (folder / "file").touch()
     (folder / "cut.net.xml").write_text('<net version="1.20"><edge ')
+    (folder / "cut.sumocfg").write_text("<configuration>")
     (folder / "narrow.net.xml").write_text(ONE_LANE)
     (folder / "no.toml").write_text("[traffic\n")
     decision = {"action": [0], "episode": [0]}
@@ -87,12 +88,15 @@ BAD = {
     "eval cut": "'cut/clone.safetensors' is truncated or damaged (SafetensorError: ",
     "eval keep --out exists": "output folder 'exists' exists; choose another, or replace its tables with --overwrite",
     "eval keep --out file/out": "cannot write to 'file/out': '",
-    "eval keep --fcd --out 12:30": "SUMO writes to no path with ':' or '$' in it; got '",
+    "eval keep --fcd --out 12:30": "SUMO writes floating-car data to no path with ':' or '$' in it; choose another",
     "train --set train.expert=none": "no expert here: 'none/manifest.json' is missing; train one (rail-sumo expert tr",
     "eval keep --fcd": "--fcd writes into the folder of --out; name one",
     "eval keep --workers ray --fcd --out new": "floating-car data are written on this machine: drive with a number of",
     "eval keep --network highwy5": "network 'highwy5' not found; did you mean 'highway5'? (available: highway3, ",
     "eval keep --network none.net.xml": "network file 'none.net.xml' does not exist (current folder: ",
+    "eval keep --network none.sumocfg": "cannot read 'none.sumocfg': No such file or directory",
+    "eval keep --network cut.sumocfg": "cannot read 'cut.sumocfg': ",
+    "eval keep --set network.file=cut.sumocfg": "network 'cut.sumocfg' is not a complete XML file: ",
     "eval keep --network cut.net.xml": "network 'cut.net.xml' is not a complete XML file: ",
     "eval keep --network narrow.net.xml": "network 'narrow.net.xml' has no drivable edge with two or more lanes; ",
     "eval keep --routes none.rou.xml": "routes file 'none.rou.xml' does not exist (current folder: ",
@@ -190,6 +194,25 @@ def test_whatever_drives_takes_a_network_and_a_demand(world_of, command):
     assert world.network.file == "highway3"
     assert world.traffic.routes == ("highway3", "my.rou.xml")
     assert world.traffic.begin_s == 5.0
+
+
+def test_a_sumocfg_brings_its_network_and_demand_and_what_is_not_read_of_it_is_told_once(rail_sumo, tmp_path):
+    (tmp_path / "a").mkdir()
+    (tmp_path / "a" / "my.net.xml").write_bytes(assets.network("highway3").read_bytes())
+    (tmp_path / "a" / "my.rou.xml").write_bytes(assets.routes("highway3").read_bytes())
+    options = '<net-file value="my.net.xml"/><route-files value="my.rou.xml"/><begin value="0:02:00"/><scale v="0.5"/>'
+    (tmp_path / "a" / "my.sumocfg").write_text(f"<configuration>{options}</configuration>")
+    note = "rail-sumo: not read of 'a/my.sumocfg': scale\n"
+    code, printed, err = rail_sumo("config", "--network", "a/my.sumocfg")
+    (tmp_path / "read.toml").write_text(printed)
+    world = config.load(tmp_path / "read.toml")
+    assert (world.network.file, world.traffic.routes) == ("a/my.net.xml", ("a/my.rou.xml",))
+    assert (world.traffic.begin_s, code, err) == (120.0, 0, note)
+    code, out, err = rail_sumo("network", "check", "a/my.sumocfg")
+    assert (code, out, err) == (0, "my: road of 8,200 m with 3 lanes\nedges: highway\n", note)
+    others = ("--routes", "highway3", "--set", "traffic.begin_s=9")
+    assert 'routes = [\n    "highway3",\n]' in rail_sumo("config", "--network", "a/my.sumocfg", *others)[1]
+    assert "begin_s = 9.0" in rail_sumo("config", "--network", "a/my.sumocfg", *others)[1]
 
 
 def test_check_tells_the_edges_and_where_the_road_ends_too_soon(rail_sumo):

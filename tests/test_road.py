@@ -269,7 +269,7 @@ def test_lanes_closed_to_cars_belong_to_the_verge(network):
         ("", r"^network 'bad\.net\.xml' is not a complete XML file: no element found in line 1$"),
         ("once upon a time", "is not a complete XML file: syntax error in line 1$"),
         ('<net version="1.20"><edge id="a">', "is not a complete XML file: no element found"),
-        ("<routes/>", r"has no edges; rail-sumo reads SUMO's \.net\.xml$"),
+        ("<routes/>", r"has no edges; rail-sumo reads SUMO's \.net\.xml, and by --network a \.sumocfg$"),
         ('<net version="1.20"/>', "has no edges"),
         ("<net/>", r"is not a SUMO network: .*version"),
         ('<net version="1.20"><edge id="a" from="x" to="y"><lane/></edge></net>', "is not a SUMO network: KeyError"),

@@ -8,7 +8,7 @@ from pathlib import Path
 
 from rail_sumo import assets
 from rail_sumo.errors import InputError
-from rail_sumo.highway.sumo_xml import UNREADABLE, opened, state_of
+from rail_sumo.highway.sumo_xml import UNREADABLE, opened, seconds, state_of
 
 TRAFFIC_ELEMENTS = ("vehicle", "flow", "trip")
 """Elements that put somebody on the road."""
@@ -87,7 +87,7 @@ def _content(path: Path, state: tuple[int, int]) -> _Content:
                 if name.startswith(OURS):
                     taken.append(name)
                 if element.tag in TRAFFIC_ELEMENTS:
-                    departs_s = _seconds(element.get("depart") or element.get("begin") or "", otherwise=latest_s)
+                    departs_s = _departure_s(element, otherwise=latest_s)
                     if departs_s < latest_s:
                         out_of_order.append(name)
                     latest_s = max(latest_s, departs_s)
@@ -97,12 +97,8 @@ def _content(path: Path, state: tuple[int, int]) -> _Content:
     return _Content(frozenset(elements), tuple(taken), tuple(out_of_order))
 
 
-def _seconds(time: str, *, otherwise: float) -> float:
-    # A time as SUMO reads it, "90", "1:30" or "0:01:30"; what is none, such as "triggered", is `otherwise`.
-    seconds = 0.0
+def _departure_s(element: ElementTree.Element, *, otherwise: float) -> float:
     try:
-        for part in time.split(":"):
-            seconds = 60 * seconds + float(part)
-    except ValueError:
+        return seconds(element.get("depart") or element.get("begin") or "")
+    except ValueError:  # as "triggered"
         return otherwise
-    return seconds

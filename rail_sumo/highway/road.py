@@ -212,7 +212,9 @@ def _read(path: Path) -> Any:
         raise InputError(f"network '{path.name}' is for driving on the left; rail-sumo drives on the right")
     net = reader.getNet()
     if not net.getEdges(withInternal=False):
-        raise InputError(f"network '{path.name}' has no edges; rail-sumo reads SUMO's .net.xml")
+        raise InputError(
+            f"network '{path.name}' has no edges; rail-sumo reads SUMO's .net.xml, and by --network a .sumocfg"
+        )
     return net
 
 

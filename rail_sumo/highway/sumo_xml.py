@@ -1,4 +1,4 @@
-"""SUMO's files: XML, plain or compressed."""
+"""SUMO's files: XML, plain or compressed, and how they write times."""
 
 import gzip
 import xml.etree.ElementTree as ElementTree
@@ -10,6 +10,8 @@ from pathlib import Path
 UNREADABLE = (xml.sax.SAXParseException, ElementTree.ParseError, zlib.error, EOFError, OSError)
 """What reading a file raises that is damaged, or no XML."""
 
+_SIZES_S = (1.0, 60.0, 3600.0, 86400.0)
+
 
 def opened(path: Path) -> BufferedIOBase:
     """Open a file as SUMO does: compressed if it is called so."""
@@ -20,3 +22,13 @@ def state_of(path: Path) -> tuple[int, int]:
     """Return what changes when somebody edits a file; what was read of it is kept until then."""
     found = path.stat()
     return found.st_mtime_ns, found.st_size
+
+
+def seconds(time: str) -> float:
+    """Return a time as SUMO writes it, "90", "0:01:30" or "0:00:01:30", in seconds.
+
+    Raises:
+        ValueError: it is none.
+    """
+    parts = [float(part) for part in reversed(time.split(":"))]
+    return sum(part * size for part, size in zip(parts, _SIZES_S[: len(parts)], strict=True))
