@@ -27,7 +27,7 @@ if TYPE_CHECKING:
     from rail_sumo.run import Tables
 
 app = typer.Typer(
-    help="Learn a highway driver from demonstrations, without gradients, on SUMO.",
+    help="Learn a highway driver from demonstrations, and drive it in SUMO on your own roads.",
     no_args_is_help=True,
     add_completion=False,
     pretty_exceptions_enable=False,
@@ -46,9 +46,12 @@ NetworkFile = Annotated[str | None, typer.Option(metavar="FILE", help=_NETWORK)]
 Routes = Annotated[list[str] | None, typer.Option(metavar="FILE", help="Your own demand; repeatable.")]
 FCD = "fcd"
 """The folder of the floating-car data beside the tables."""
+_POLICY = "A run directory, an expert's folder, or expert, rule, sumo, keep or random."
 _SEED = "Everything random follows from it."
 Seed = Annotated[int, typer.Option(min=0, help=_SEED)]
-Workers = Annotated[str, typer.Option(metavar="N|ray", help="Processes that drive.", show_default="as many as cores")]
+_WORKERS, _CORES = "Processes that drive.", "as many as cores"
+Workers = Annotated[str, typer.Option(metavar="N|ray", help=_WORKERS, show_default=_CORES)]
+LocalWorkers = Annotated[str, typer.Option(metavar="N", help=_WORKERS, show_default=_CORES)]
 Overwrite = Annotated[bool, typer.Option("--overwrite", help="Replace what is there.")]
 
 
@@ -112,7 +115,7 @@ def train(
 
 @app.command("eval")
 def evaluate(
-    policies: Annotated[list[str], typer.Argument(metavar="POLICY...", help="Run directories and drivers' names.")],
+    policies: Annotated[list[str], typer.Argument(metavar="POLICY...", help=_POLICY)],
     network: NetworkFile = None,
     routes: Routes = None,
     overrides: Overrides = None,
@@ -177,7 +180,7 @@ def reproduce(
     out: Annotated[Path, typer.Option(help="Folder for cells, table and figures.")] = Path("runs/reproduce"),
     seeds: Annotated[int | None, typer.Option(help="Trainings per cell.", show_default="10, with --quick 2")] = None,
     quick: Annotated[bool, typer.Option("--quick", help="Fewer iterations, for a first look.")] = False,
-    workers: Workers = "",
+    workers: LocalWorkers = "",
 ) -> None:
     """Repeat the paper's experiments; what is in the folder already is not done again."""
     from rail_sumo import reproduce
@@ -205,8 +208,8 @@ def show_config(
     routes: Routes = None,
     overrides: Overrides = None,
 ) -> None:
-    """Print every key with its value, as TOML; a file to start from."""
-    print(config.dumps(config.load(config_file, _overrides(network, routes, overrides))), end="")
+    """Print every key with what it means and its value, as TOML; a file to start from."""
+    print(config.explained(config.load(config_file, _overrides(network, routes, overrides))), end="")
 
 
 @expert.command("train")
@@ -234,7 +237,7 @@ def train_expert(
 def record(
     out: Annotated[Path, typer.Option(metavar="FILE.parquet", help="Where the demonstrations go.")],
     config_file: ConfigFile = None,
-    driver: Annotated[str, typer.Option(metavar="NAME", help="A driver's name or a run directory.")] = "expert",
+    driver: Annotated[str, typer.Option(metavar="NAME", help=_POLICY)] = "expert",
     episodes: Annotated[int, typer.Option(help="Episodes to record.")] = 40,
     network: NetworkFile = None,
     routes: Routes = None,

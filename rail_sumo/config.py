@@ -2,6 +2,7 @@
 
 import difflib
 import math
+import textwrap
 import tomllib
 from collections.abc import Iterable, Iterator, Mapping
 from pathlib import Path
@@ -21,7 +22,7 @@ Count = Annotated[int, Field(ge=1)]
 
 
 class _Section(BaseModel):
-    model_config = ConfigDict(extra="forbid", frozen=True, strict=True)
+    model_config = ConfigDict(extra="forbid", frozen=True, strict=True, use_attribute_docstrings=True)
 
 
 class Network(_Section):
@@ -35,11 +36,13 @@ class Network(_Section):
 
 
 class Episode(_Section):
-    """When an episode ends: at the course's end or after the duration, whichever comes first; inf is no limit."""
+    """When an episode ends: after the course or the duration, whichever comes first; inf is no limit."""
 
     course_m: Limit = 7222.0
+    """How far the host drives."""
     duration_s: Annotated[float, Field(ge=SECONDS_PER_STEP)] = math.inf
     decision_period_s: Annotated[float, Field(ge=SECONDS_PER_STEP, le=2.0)] = 1.0
+    """How often the supervisor decides; it also does when a lane change ends."""
 
     @model_validator(mode="after")
     def _whole_steps(self) -> "Episode":
@@ -67,10 +70,15 @@ class Traffic(_Section):
     """SUMO's additional files: stops, signal programs, variable speed signs and the like. What they have SUMO write,
     every episode writes anew; nothing in them may take the host off the road."""
     vehicles: Annotated[int, Field(ge=0, le=500)] = 16
+    """In the moving window, beside the host."""
     ahead_m: Annotated[float, Field(ge=50.0, le=2000.0)] = 250.0
+    """How far the window reaches ahead of the host."""
     behind_m: Annotated[float, Field(ge=50.0, le=2000.0)] = 150.0
+    """... and behind it."""
     speed_low_kmh: Positive = 56.0
+    """The lowest desired speed; they are drawn evenly."""
     speed_high_kmh: Positive = 70.0
+    """The highest."""
     lane_change_every_s: Limit = 30.0
     """Mean time between one vehicle's tries to change lanes; inf for none. Nobody tries more often than every 2 s."""
     begin_s: NonNegative = 0.0
@@ -89,7 +97,9 @@ class Lidar(_Section):
     """The synthetic LIDAR."""
 
     n_rays: Annotated[int, Field(ge=1, le=720)] = 24
+    """Evenly spaced over the full circle, the first straight ahead."""
     max_range_m: Annotated[float, Field(ge=1.0, le=500.0)] = 100.0
+    """Also the distance told where nothing is hit."""
     road_edges: bool = True
     """Whether rays also end at the road's edges, as at a guard rail."""
 
@@ -98,23 +108,35 @@ class Observation(_Section):
     """What the policy sees besides the scan; all off by default."""
 
     host_speed: bool = False
+    """Its own speed."""
     lateral_state: bool = False
+    """Its offset from the centre of the lane that a lane change set out from."""
     frames: Annotated[int, Field(ge=1, le=8)] = 1
+    """Observations of so many decisions, the newest first."""
 
 
 class Adas(_Section):
     """The layer that carries the decisions out."""
 
     min_speed_kmh: Positive = 40.0
+    """The lowest set speed; traffic, limits and signals may make the host slower."""
     max_speed_kmh: Positive = 80.0
+    """The highest."""
     speed_step_kmh: Positive = 5.0
+    """What accelerate and decelerate add to the present speed, or take from it, to get the set speed."""
     start_speed_kmh: Positive = 60.0
+    """At which the host enters."""
     acceleration_mps2: Positive = 2.0
     comfort_braking_mps2: Positive = 2.0
+    """For a lower set speed, for speed limits and for signals."""
     emergency_braking_mps2: Annotated[float, Field(gt=0.0, le=9.0)] = 9.0
+    """The hardest, for whatever is ahead."""
     time_gap_s: Annotated[float, Field(ge=1.0, le=5.0)] = 1.0
+    """To the vehicle ahead."""
     standstill_gap_m: Annotated[float, Field(ge=1.0, le=10.0)] = 2.0
+    """... on top of the time gap."""
     lateral_speed_mps: Annotated[float, Field(ge=0.5, le=3.0)] = 1.7
+    """Sideways, while changing lanes."""
 
     @model_validator(mode="after")
     def _ordered(self) -> "Adas":
@@ -137,13 +159,16 @@ class Policy(_Section):
     """The supervisor's network."""
 
     layers: Literal[1, 2] = 2
+    """1 is linear, 2 have tanh units between."""
     hidden: Annotated[int, Field(ge=1, le=1024)] = 32
+    """How many of these units."""
 
 
 class Cloning(_Section):
     """Behaviour cloning: softmax cross-entropy on whitened observations."""
 
     epochs: Annotated[int, Field(ge=0)] = 100
+    """How often all demonstrations are gone through."""
     batch_size: Count = 256
     learning_rate: Positive = 1e-3
     weight_decay: NonNegative = 1e-4
@@ -153,11 +178,13 @@ class Search(_Section):
     """Augmented random search (Mania et al. 2018) over the policy's parameters."""
 
     n_directions: Count = 16
+    """N: how many perturbations an iteration tries, each added and subtracted."""
     n_top: Count | Literal["all"] = "all"
-    """Only the best so many directions count, by the better return of either way."""
+    """b: only the best so many directions count, by the better return of either way."""
     step_size: Positive = 0.05
+    """alpha."""
     noise_std: Positive = 0.1
-    """Too small, and traffic's noise hides what a perturbation does; too large, and it is a different driver."""
+    """nu. Too small, and traffic's noise hides what a perturbation does; too large, and it is a different driver."""
 
     @property
     def kept(self) -> int:
@@ -175,11 +202,14 @@ class Judge(_Section):
     """The discriminator and its least-squares training."""
 
     hidden: tuple[Count, ...] = (100, 100)
+    """Units of each hidden layer."""
     learning_rate: Positive = 3e-4
     minibatches: Count = 10
     """For every iteration. With many more it learns its demonstrations by heart."""
     batch_size: Count = 512
+    """Decisions of the expert in a minibatch, and as many of the learner."""
     reward_clip: Positive = 5.0
+    """A decision's reward, the judge's logit, is no larger than this, and no smaller than its negative."""
 
 
 class Rail(_Section):
@@ -196,12 +226,17 @@ class Gail(_Section):
     rollouts: Count = 32
     """Driven in an iteration, as many as RAIL's, by actions drawn with the policy's probabilities."""
     critic_hidden: tuple[Count, ...] = (64, 64)
+    """Units of each of the critic's hidden layers."""
     learning_rate: Positive = 3e-4
     batch_size: Annotated[int, Field(ge=2)] = 256
     epochs: Count = 10
+    """How often an iteration's decisions are gone through."""
     discount: Annotated[float, Field(gt=0.0, lt=1.0)] = 0.99
+    """gamma, per decision."""
     gae_lambda: Annotated[float, Field(ge=0.0, le=1.0)] = 0.95
+    """lambda of the advantage estimates."""
     entropy: NonNegative = 0.0
+    """What the policy's entropy weighs in the loss."""
 
 
 class Dagger(_Section):
@@ -228,17 +263,20 @@ class Train(_Section):
     """One training run."""
 
     learner: Learner = "rail"
+    """rail, gail, bc, dagger or ars."""
     expert: str = "shipped"
-    """Who is imitated, asked and compared with: `shipped`, or a folder that `rail-sumo expert train` wrote."""
+    """Who is imitated, asked and compared with: "shipped", or a folder that `rail-sumo expert train` wrote."""
     demonstrations: str = "expert"
-    """`expert` for the expert's own, or a Parquet file that `rail-sumo expert record` wrote."""
+    """"expert" for the expert's own, or a Parquet file that `rail-sumo expert record` wrote."""
     trajectories: Count = 40
+    """How many of the demonstrations are shown, from the first on."""
     iterations: Annotated[int, Field(ge=0)] | Literal["default"] = "default"
     """By default 160 of RAIL, GAIL and ARS, 20 of DAgger; behaviour cloning has none."""
     horizon_s: Positive = 200.0
     """Length of one training rollout. If much shorter than the demonstrations, the judge learns to tell early traffic
     from late traffic instead of learner from expert."""
     evaluation_episodes: Count = 16
+    """On held-out traffic, when training is done."""
 
     @property
     def expert_folder(self) -> Path | None:
@@ -261,8 +299,9 @@ class Expert(_Section):
     """Masked PPO, which the expert is trained by."""
 
     decisions: Count = 100_000
-    """Rounded up to whole updates."""
+    """How long the training is; rounded up to whole updates."""
     horizon_s: Positive = 300.0
+    """Length of one training episode."""
     hidden: tuple[Count, ...] = (128, 128)
     learning_rate: Positive = 4e-4
     """Falls evenly over the training, towards 0."""
@@ -385,6 +424,21 @@ def first_difference(given: Mapping[str, Any], wanted: Mapping[str, Any]) -> str
 def dumps(config: Config) -> str:
     """Return the configuration as TOML, every key written out."""
     return tomli_w.dumps(config.model_dump())
+
+
+def explained(config: Config) -> str:
+    """Return the configuration as TOML, every key with what it means."""
+    sections = []
+    for name, section in config:
+        lines = [*_comment(type(section).__doc__), f"[{name}]"]
+        for key, field in type(section).model_fields.items():
+            lines += [*_comment(field.description), tomli_w.dumps({key: getattr(section, key)}).rstrip()]
+        sections.append("\n".join([*lines, ""]))
+    return "\n".join(sections)
+
+
+def _comment(text: str | None) -> list[str]:
+    return textwrap.wrap(text or "", 120, initial_indent="# ", subsequent_indent="# ")
 
 
 def _json(tree: dict[str, Any]) -> str:

@@ -100,6 +100,21 @@ def test_what_is_written_names_every_key(given_config):
     }
 
 
+@settings(max_examples=20)
+@given(configs)
+def test_explained_it_is_the_same(given_config):
+    assert tomllib.loads(config.explained(given_config)) == tomllib.loads(config.dumps(given_config))
+
+
+def test_a_section_and_a_key_are_explained_just_before_they_stand():
+    lines = config.explained(Config()).splitlines()
+    assert max(map(len, lines)) <= 120
+    assert lines[lines.index("[judge]") - 1] == "# The discriminator and its least-squares training."
+    assert lines[lines.index("n_directions = 16") - 1].startswith("# N: how many perturbations an iteration tries")
+    assert lines[lines.index("reward_weight = 0.0") - 2].startswith("# What a unit of the environment's reward per ")
+    assert lines[lines.index("reward_weight = 0.0") - 1] == "# alone."
+
+
 @pytest.mark.parametrize("changes", [{"duration_s": 300.0, "course_m": math.inf}, {"duration_s": math.inf}])
 def test_no_limit_survives_the_way_through_toml(tmp_path, changes):
     given_config = Config(episode=config.Episode(**changes), traffic=config.Traffic(lane_change_every_s=math.inf))
