@@ -1,1 +1,1 @@
-"""Learn a highway driver from demonstrations, without gradients, on SUMO."""
+"""Learn a highway driver from demonstrations, and drive it in SUMO."""
