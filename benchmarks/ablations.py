@@ -1,6 +1,6 @@
-"""What each choice in RAIL's search and judge is worth: all of them varied at once, each on as many trainings.
+"""What each choice in RAIL's search and judge is worth, or in GAIL's: all varied at once, each on as many trainings.
 
-    python benchmarks/ablations.py --out runs/ablations [--workers 2]
+    python benchmarks/ablations.py --out runs/ablations [--learner gail] [--workers 2]
 
 Every training has its own seed and its own combination of choices, and every choice is taken in half of the trainings,
 beside each of the others equally often (a Plackett-Burman design, folded over: no choice's effect is mixed up with
@@ -12,7 +12,6 @@ Trainings of as many iterations and episodes that are in `out` already are taken
 import argparse
 import itertools
 import tempfile
-from collections import deque
 from dataclasses import dataclass, replace
 from pathlib import Path
 from unittest import mock
@@ -20,13 +19,13 @@ from unittest import mock
 import kept
 import numpy as np
 import pandas as pd
+import variants
 from scipy import stats
 
 from rail_sumo import config, rollout, run, training
-from rail_sumo.imitation import rail
-from rail_sumo.imitation.discriminator import Judge
+from rail_sumo.imitation import discriminator, rail
 from rail_sumo.imitation.random_search import RandomSearch
-from rail_sumo.records import Trajectory
+from rail_sumo.run_directory import RunDirectory
 
 TRAFFIC = 10**6
 """The seed of the traffic on which all are compared."""
@@ -35,63 +34,6 @@ FIRST_SEED = 100
 AVERAGING = 0.95
 """What a theta weighs in the running average, of what the next one does."""
 SHOWN = ["speed_kmh", "overtakes", "lane_changes", "lateral_reward"]
-
-
-class Ranked(RandomSearch):
-    """Follows the returns' ranks among all 2N, from -1/2 to 1/2, in place of the returns."""
-
-    def tell(self, deltas, returns_plus, returns_minus):
-        ranks = stats.rankdata([*returns_plus, *returns_minus])
-        shaped = (ranks - 1) / (len(ranks) - 1) - 0.5
-        return super().tell(deltas, shaped[: len(deltas)], shaped[len(deltas) :])
-
-
-def shrinking(search: type[RandomSearch]) -> type[RandomSearch]:
-    """A search whose steps become smaller by 1 % an iteration."""
-
-    class Shrinking(search):
-        def tell(self, deltas, returns_plus, returns_minus):
-            length = super().tell(deltas, returns_plus, returns_minus)
-            self.step_size *= 0.99
-            return length
-
-    return Shrinking
-
-
-def clipped_up(search: type[RandomSearch]) -> type[RandomSearch]:
-    """A search with momentum, whose steps have one length and whose velocity has a limit.
-
-    Source: Toklu, Liskowski & Srivastava, "ClipUp" (PPSN 2020). Lengths are chosen so that velocity is about as fast
-    as the steps of the plain search.
-    """
-
-    class ClippedUp(search):
-        velocity = 0.0
-
-        def tell(self, deltas, returns_plus, returns_minus):
-            before = self.theta
-            length = super().tell(deltas, returns_plus, returns_minus)
-            if not length:
-                return length
-            velocity = 0.9 * self.velocity + 5 * self.step_size * (self.theta - before) / length
-            self.velocity = velocity * min(1.0, 10 * self.step_size / np.linalg.norm(velocity))
-            self.theta = before + self.velocity
-            return float(np.linalg.norm(self.velocity))
-
-    return ClippedUp
-
-
-class Remembering:
-    """A judge that learns from the learner's last three iterations, not from the newest alone."""
-
-    def __init__(self, judge: Judge) -> None:
-        self._judge = judge
-        self._last: deque[list[Trajectory]] = deque(maxlen=3)
-        self.returns = judge.returns
-
-    def fit(self, expert, learner, rng):
-        self._last.append(list(learner))
-        return self._judge.fit(expert, list(itertools.chain.from_iterable(self._last)), rng)
 
 
 @dataclass(frozen=True)
@@ -110,20 +52,38 @@ CLIP_UP = Choice("step", "by the gradient", "ClipUp")
 SHRINKING = Choice("its length", "as it comes", "1 % less each time")
 TRAFFICS = Choice("traffic of + and -", "the same", "one each")
 MEMORY = Choice("the judge learns from", "the newest iteration", "the last three")
-CHOICES = [
-    Choice("search.n_top", "all 16", "8", "search.n_top=8"),
-    Choice("search.step_size", "0.05", "0.1", "search.step_size=0.1"),
-    Choice("search.noise_std", "0.1", "0.05", "search.noise_std=0.05"),
-    RANKS,
-    CLIP_UP,
-    SHRINKING,
-    TRAFFICS,
-    MEMORY,
-    Choice("judge.learning_rate", "3e-4", "1e-3", "judge.learning_rate=1e-3"),
-    Choice("judge.minibatches", "10", "30", "judge.minibatches=30"),
-    Choice("policy.hidden", "32", "64", "policy.hidden=64"),
-    Choice("cloning.epochs", "100", "300", "cloning.epochs=300"),
-]
+PENALTY = Choice("gradient penalty", "none", "0.2")
+CHOICES = {
+    "rail": [
+        Choice("search.n_top", "all 16", "8", "search.n_top=8"),
+        Choice("search.step_size", "0.05", "0.1", "search.step_size=0.1"),
+        Choice("search.noise_std", "0.1", "0.05", "search.noise_std=0.05"),
+        RANKS,
+        CLIP_UP,
+        SHRINKING,
+        TRAFFICS,
+        MEMORY,
+        Choice("judge.learning_rate", "3e-4", "1e-3", "judge.learning_rate=1e-3"),
+        Choice("judge.minibatches", "10", "30", "judge.minibatches=30"),
+        Choice("policy.hidden", "32", "64", "policy.hidden=64"),
+        Choice("cloning.epochs", "100", "300", "cloning.epochs=300"),
+    ],
+    "gail": [
+        Choice("gail.learning_rate", "3e-4", "1e-3", "gail.learning_rate=1e-3"),
+        Choice("gail.batch_size", "256", "1024", "gail.batch_size=1024"),
+        Choice("gail.epochs", "10", "5", "gail.epochs=5"),
+        Choice("gail.discount", "0.99", "0.95", "gail.discount=0.95"),
+        Choice("gail.gae_lambda", "0.95", "0.8", "gail.gae_lambda=0.8"),
+        Choice("gail.entropy", "0", "0.01", "gail.entropy=0.01"),
+        Choice("gail.critic_hidden", "64, 64", "256, 256", "gail.critic_hidden=[256, 256]"),
+        PENALTY,
+        Choice("judge.learning_rate", "3e-4", "1e-3", "judge.learning_rate=1e-3"),
+        Choice("judge.minibatches", "10", "30", "judge.minibatches=30"),
+        Choice("judge.reward_clip", "5", "1", "judge.reward_clip=1.0"),
+        Choice("policy.hidden", "32", "64", "policy.hidden=64"),
+    ],
+}
+"""By learner."""
 
 
 def design() -> np.ndarray:
@@ -141,6 +101,7 @@ def design() -> np.ndarray:
 class Training:
     """One row of the design."""
 
+    learner: str
     number: int
     taken: frozenset[str]
     """The choices in which it goes the other way."""
@@ -149,46 +110,59 @@ class Training:
 
 
 def train(this: Training) -> pd.DataFrame:
-    """Train with the choices taken; a row for the last theta, and one for a running average of it."""
-    overrides = [choice.override for choice in CHOICES if choice.name in this.taken and choice.override]
-    world = config.load(None, [*overrides, "train.iterations=0"])
-    seed = FIRST_SEED + this.number
-    search = Ranked if RANKS.name in this.taken else RandomSearch
-    search = clipped_up(search) if CLIP_UP.name in this.taken else search
-    search = shrinking(search) if SHRINKING.name in this.taken else search
-    with (
-        tempfile.TemporaryDirectory() as folder,
-        rollout.workers(1) as pool,
-        mock.patch.object(rail, "RandomSearch", search),
-    ):
-        begun = training.learn(world, Path(folder) / "run", seed=seed)
-        clone, practice = begun.clone, training.Practice(begun, pool)
-        judge = training.judge_of(begun)
-        states = rail.train(
-            clone.theta,
-            training.demonstrations_of(world),
-            search=world.search,
-            judge=Remembering(judge) if MEMORY.name in this.taken else judge,
-            evaluate=lambda theta, perturbations, number: practice.pairs(
-                replace(clone, theta=theta), perturbations, number, shared_traffic=TRAFFICS.name not in this.taken
-            ),
-            seed=seed,
-        )
-        thetas = [state.theta for state in itertools.islice(states, this.iterations)]
-    average = np.average(thetas, axis=0, weights=AVERAGING ** np.arange(len(thetas), 0, -1))
-    policies = {"last": replace(clone, theta=thetas[-1]), "average": replace(clone, theta=average), "clone": clone}
+    """Train with the choices taken; a row for the last policy and one for its clone, and for RAIL's average theta."""
+    choices = CHOICES[this.learner]
+    overrides = [choice.override for choice in choices if choice.name in this.taken and choice.override]
+    world = config.load(None, [*overrides, f"train.learner={this.learner}"])
+    with tempfile.TemporaryDirectory() as folder:
+        policies = (_rail if this.learner == "rail" else _gail)(this, world, Path(folder) / "run")
     table, _ = run.evaluate(
         {**policies, "expert": run.find_driver("expert", world)}, world, episodes=this.episodes, seed=TRAFFIC
     )
     means = table.groupby("policy", sort=False)[[*SHOWN, "collisions"]].mean()
     ratios = means.loc[list(policies)].assign(**means[SHOWN].loc[list(policies)] / means[SHOWN].loc["expert"])
-    taken = {choice.name: choice.name in this.taken for choice in CHOICES}
+    taken = {choice.name: choice.name in this.taken for choice in choices}
     return ratios.reset_index().assign(number=this.number, **taken)
 
 
-def effects(trainings: pd.DataFrame, metric: str) -> pd.DataFrame:
+def _learned(this: Training, world: config.Config, out: Path, iterations: int) -> RunDirectory:
+    section = world.train.model_copy(update={"iterations": iterations})
+    return training.learn(world.model_copy(update={"train": section}), out, seed=FIRST_SEED + this.number)
+
+
+def _rail(this: Training, world: config.Config, out: Path) -> dict[str, run.Who]:
+    search = variants.Ranked if RANKS.name in this.taken else RandomSearch
+    search = variants.clipped_up(search) if CLIP_UP.name in this.taken else search
+    search = variants.shrinking(search) if SHRINKING.name in this.taken else search
+    begun = _learned(this, world, out, 0)
+    clone, judge = begun.clone, training.judge_of(begun)
+    with rollout.workers(1) as pool, mock.patch.object(rail, "RandomSearch", search):
+        practice = training.Practice(begun, pool)
+        states = rail.train(
+            clone.theta,
+            training.demonstrations_of(world),
+            search=world.search,
+            judge=variants.Remembering(judge) if MEMORY.name in this.taken else judge,
+            evaluate=lambda theta, perturbations, number: practice.pairs(
+                replace(clone, theta=theta), perturbations, number, shared_traffic=TRAFFICS.name not in this.taken
+            ),
+            seed=FIRST_SEED + this.number,
+        )
+        thetas = [state.theta for state in itertools.islice(states, this.iterations)]
+    average = np.average(thetas, axis=0, weights=AVERAGING ** np.arange(len(thetas), 0, -1))
+    return {"last": replace(clone, theta=thetas[-1]), "average": replace(clone, theta=average), "clone": clone}
+
+
+def _gail(this: Training, world: config.Config, out: Path) -> dict[str, run.Who]:
+    judge = variants.Penalised if PENALTY.name in this.taken else discriminator.Judge
+    with mock.patch.object(discriminator, "Judge", judge):
+        learned = _learned(this, world, out, this.iterations)
+    return {"last": learned.policy(world), "clone": learned.clone}
+
+
+def effects(trainings: pd.DataFrame, choices: list[Choice], metric: str) -> pd.DataFrame:
     """What the other way adds to a metric, with its 95 % interval: least squares with a term for every choice."""
-    signs = trainings[[choice.name for choice in CHOICES]].to_numpy() * 2.0 - 1.0
+    signs = trainings[[choice.name for choice in choices]].to_numpy() * 2.0 - 1.0
     terms = np.column_stack([np.ones(len(signs)), signs])
     values = trainings[metric].to_numpy()
     solved, *_ = np.linalg.lstsq(terms, values)
@@ -196,20 +170,22 @@ def effects(trainings: pd.DataFrame, metric: str) -> pd.DataFrame:
     error = np.sqrt(((values - terms @ solved) ** 2).sum() / freedom / len(values))
     reach = 2 * error * stats.t.ppf(0.975, freedom)
     effect = 2 * solved[1:]
-    return pd.DataFrame({"effect": effect, "low": effect - reach, "high": effect + reach}, [c.name for c in CHOICES])
+    return pd.DataFrame({"effect": effect, "low": effect - reach, "high": effect + reach}, [c.name for c in choices])
 
 
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--learner", choices=CHOICES, default="rail")
     parser.add_argument("--out", type=Path, required=True)
     parser.add_argument("--iterations", type=int, default=100)
     parser.add_argument("--episodes", type=int, default=48, help="of each policy's evaluation")
     parser.add_argument("--workers", type=int, default=2)
     given = parser.parse_args()
-    names = np.array([choice.name for choice in CHOICES])
+    choices = CHOICES[given.learner]
+    names = np.array([choice.name for choice in choices])
     parts = {
-        f"training{number}-{given.iterations}-iterations-{given.episodes}-episodes": Training(
-            number, frozenset(names[row]), given.iterations, given.episodes
+        f"{given.learner}{number}-{given.iterations}-iterations-{given.episodes}-episodes": Training(
+            given.learner, number, frozenset(names[row]), given.iterations, given.episodes
         )
         for number, row in enumerate(design())
     }
@@ -220,8 +196,8 @@ def main() -> None:
         print(f"\n{policy}: " + ", ".join(f"{name} {rows[name].mean():.3f}" for name in [*SHOWN, "collisions"]))
     for metric in SHOWN:
         print(f"\n{metric}, ratio to the expert's: what the other way adds")
-        table = effects(done[done["policy"] == "last"], metric).assign(
-            default=[choice.default for choice in CHOICES], instead=[choice.instead for choice in CHOICES]
+        table = effects(done[done["policy"] == "last"], choices, metric).assign(
+            default=[choice.default for choice in choices], instead=[choice.instead for choice in choices]
         )
         print(table.round(3).to_string())
 

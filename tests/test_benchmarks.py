@@ -16,6 +16,8 @@ import safety
 import sensing
 import throughput
 
+from rail_sumo import config
+
 
 @pytest.mark.parametrize(
     "benchmark", [ablations, agreement, claims, efficiency, learning, noise, safety, sensing, throughput]
@@ -30,20 +32,33 @@ def test_every_benchmark_can_be_asked_what_it_does(benchmark, monkeypatch, capsy
 
 def test_in_the_ablations_every_choice_is_varied_as_often_and_beside_each_of_the_others():
     signs = np.where(ablations.design(), 1, -1)
-    assert signs.shape == (24, len(ablations.CHOICES))
+    assert {len(choices) for choices in ablations.CHOICES.values()} == {signs.shape[1]} == {12}
+    assert len(signs) == 24
     np.testing.assert_array_equal(signs.T @ signs, 24 * np.eye(12))
     np.testing.assert_array_equal(signs[:12], -signs[12:])  # folded: no effect is mixed up with two others' joining
     for one, other in itertools.combinations(range(12), 2):
         np.testing.assert_array_equal(signs.T @ (signs[:, one] * signs[:, other]), 0)
 
 
-def test_an_effect_is_what_the_other_way_adds_and_its_interval_says_how_surely():
-    names = [choice.name for choice in ablations.CHOICES]
+def test_of_every_choice_the_default_is_the_configurations_and_the_other_way_is_not():
+    for choice in itertools.chain.from_iterable(ablations.CHOICES.values()):
+        if choice.override:
+            key = choice.override.partition("=")[0]
+            default, other = (config.load(None, overrides).flat()[key] for overrides in ([], [choice.override]))
+            assert choice.name == key
+            assert other != default
+            if isinstance(default, int | float):
+                assert float(choice.default) == default
+
+
+@pytest.mark.parametrize("learner", ablations.CHOICES)
+def test_an_effect_is_what_the_other_way_adds_and_its_interval_says_how_surely(learner):
+    names = [choice.name for choice in ablations.CHOICES[learner]]
     trainings = pd.DataFrame(ablations.design(), columns=names)
     worth = dict(zip(names, np.linspace(-0.05, 0.06, len(names)), strict=True))
     chance = np.random.default_rng(0).normal(scale=0.01, size=len(trainings))
     trainings["speed_kmh"] = 1.0 + ablations.design() @ np.array(list(worth.values())) + chance
-    found = ablations.effects(trainings, "speed_kmh")
+    found = ablations.effects(trainings, ablations.CHOICES[learner], "speed_kmh")
     assert found["effect"].to_dict() == pytest.approx(worth, abs=0.015)
     assert ((found["low"] < pd.Series(worth)) & (pd.Series(worth) < found["high"])).sum() >= 10  # of 12, at 95 %
     # 2 t / sqrt(24) sd, with 11 degrees of freedom

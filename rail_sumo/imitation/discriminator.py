@@ -76,7 +76,7 @@ class Judge:
         for _ in range(self._settings.minibatches):
             expert_batch = _draw(expert_pairs, self._settings.batch_size, rng)
             learner_batch = _draw(learner_pairs, self._settings.batch_size, rng)
-            loss = least_squares(self._judge(expert_batch), self._judge(learner_batch))
+            loss = self._loss(expert_batch, learner_batch)
             self._adam.zero_grad()
             loss.backward()
             self._adam.step()
@@ -137,6 +137,9 @@ class Judge:
 
     def _judge(self, pairs: Tensor) -> Tensor:
         return torch.sigmoid(self._logit(pairs)[:, 0])
+
+    def _loss(self, expert: Tensor, learner: Tensor) -> Tensor:
+        return least_squares(self._judge(expert), self._judge(learner))
 
     def _return(self, rewards: Floats, *, crashed: bool) -> float:
         if not crashed:

@@ -1,0 +1,86 @@
+"""Other ways to search and to judge than rail_sumo's own, to be set beside them."""
+
+import itertools
+from collections import deque
+
+import numpy as np
+import torch
+from scipy import stats
+
+from rail_sumo.imitation.discriminator import Judge
+from rail_sumo.imitation.random_search import RandomSearch
+from rail_sumo.records import Trajectory
+
+
+class Ranked(RandomSearch):
+    """Follows the returns' ranks among all 2N, from -1/2 to 1/2, in place of the returns."""
+
+    def tell(self, deltas, returns_plus, returns_minus):
+        ranks = stats.rankdata([*returns_plus, *returns_minus])
+        shaped = (ranks - 1) / (len(ranks) - 1) - 0.5
+        return super().tell(deltas, shaped[: len(deltas)], shaped[len(deltas) :])
+
+
+def shrinking(search: type[RandomSearch]) -> type[RandomSearch]:
+    """A search whose steps become smaller by 1 % an iteration."""
+
+    class Shrinking(search):
+        def tell(self, deltas, returns_plus, returns_minus):
+            length = super().tell(deltas, returns_plus, returns_minus)
+            self.step_size *= 0.99
+            return length
+
+    return Shrinking
+
+
+def clipped_up(search: type[RandomSearch]) -> type[RandomSearch]:
+    """A search with momentum, whose steps have one length and whose velocity has a limit.
+
+    Source: Toklu, Liskowski & Srivastava, "ClipUp" (PPSN 2020). Lengths are chosen so that velocity is about as fast
+    as the steps of the plain search.
+    """
+
+    class ClippedUp(search):
+        velocity = 0.0
+
+        def tell(self, deltas, returns_plus, returns_minus):
+            before = self.theta
+            length = super().tell(deltas, returns_plus, returns_minus)
+            if not length:
+                return length
+            velocity = 0.9 * self.velocity + 5 * self.step_size * (self.theta - before) / length
+            self.velocity = velocity * min(1.0, 10 * self.step_size / np.linalg.norm(velocity))
+            self.theta = before + self.velocity
+            return float(np.linalg.norm(self.velocity))
+
+    return ClippedUp
+
+
+class Remembering:
+    """A judge that learns from the learner's last three iterations, not from the newest alone."""
+
+    def __init__(self, judge: Judge) -> None:
+        self._judge = judge
+        self._last: deque[list[Trajectory]] = deque(maxlen=3)
+        self.returns = judge.returns
+
+    def fit(self, expert, learner, rng):
+        self._last.append(list(learner))
+        return self._judge.fit(expert, list(itertools.chain.from_iterable(self._last)), rng)
+
+
+class Penalised(Judge):
+    """A judge whose slope between the two sides costs it 0.2 of its mean square: D is not to become a cliff.
+
+    Source: zero-centred gradient penalty (Thanh-Tung, Tran & Venkatesh 2019).
+    """
+
+    def __init__(self, *arguments, **named) -> None:
+        super().__init__(*arguments, **named)
+        self._rng = np.random.default_rng(0)
+
+    def _loss(self, expert, learner):
+        share = torch.from_numpy(self._rng.random((len(expert), 1), dtype=np.float32))
+        between = (share * expert + (1.0 - share) * learner).requires_grad_()
+        (slope,) = torch.autograd.grad(self._judge(between).sum(), between, create_graph=True)
+        return super()._loss(expert, learner) + 0.2 * slope.square().sum(dim=1).mean()
