@@ -67,8 +67,8 @@ class Traffic(_Section):
     routes: tuple[str, ...] = ()
     """The user's demand files (`.rou.xml`); empty for the moving window."""
     additional: tuple[str, ...] = ()
-    """SUMO's additional files: stops, signal programs, variable speed signs and the like. What they have SUMO write,
-    every episode writes anew; nothing in them may take the host off the road."""
+    """SUMO's additional files: stops, signal programs, variable speed signs and the like. What detectors in them
+    report is not kept, and nothing in them may take the host off the road."""
     vehicles: Annotated[int, Field(ge=0, le=500)] = 16
     """In the moving window, beside the host."""
     ahead_m: Annotated[float, Field(ge=50.0, le=2000.0)] = 250.0
@@ -82,7 +82,7 @@ class Traffic(_Section):
     lane_change_every_s: Limit = 30.0
     """Mean time between one vehicle's tries to change lanes; inf for none. Nobody tries more often than every 2 s."""
     begin_s: NonNegative = 0.0
-    """When to begin in the user's own demand: 25200 for seven in the morning."""
+    """When to begin, in SUMO's time: 25200 for seven in the morning."""
     warm_up_s: NonNegative = 60.0
     """How long the user's own demand drives before the host enters."""
 

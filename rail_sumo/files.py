@@ -39,7 +39,7 @@ def whole_file(file: Path) -> Iterator[Path]:
     Raises:
         InputError: it cannot be written, or the disk is full.
     """
-    partial = file.with_name(f".{file.name}.partial")
+    partial = file.with_name(f".{file.name}.{os.getpid()}.partial")  # two processes may write the same
     with writing(file):
         file.parent.mkdir(parents=True, exist_ok=True)
         try:

@@ -104,7 +104,7 @@ SILENT = _Silent()
 def drive_all(work: str, tasks: list[Task], number: WorkerCount, observer: Observer = SILENT) -> Iterator[Trajectory]:
     """Yield the tasks' trajectories in their order; see `workers`."""
     observer.start(work, len(tasks))
-    with workers(number) as pool:
+    with workers(number if number == "ray" else max(1, min(number, len(tasks)))) as pool:
         for trajectory in pool.map(drive, tasks):
             observer.advance(metrics.means([trajectory]))
             yield trajectory

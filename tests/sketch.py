@@ -12,9 +12,12 @@ def edge(name, *, y=0.0, x=(0.0, 100.0), lanes=2, closed=(), width=3.2):
     return f'<edge id="{name}" from="{name}-" to="{name}+">{rows}</edge>'
 
 
-def leads_on(here, ahead, lanes, *, direction="s", to=None):
-    """Connections from some lanes of one edge to the same lanes, or those in `to`, of another; no internal lanes."""
+def leads_on(here, ahead, lanes, *, direction="s", to=None, access=""):
+    """Connections from some lanes of one edge to the same lanes, or those in `to`, of another; no internal lanes.
+
+    `access` is an attribute that says whom they are open to.
+    """
     return "".join(
-        f'<connection from="{here}" to="{ahead}" fromLane="{k}" toLane="{j}" dir="{direction}" state="M"/>'
+        f'<connection from="{here}" to="{ahead}" fromLane="{k}" toLane="{j}" dir="{direction}" state="M" {access}/>'
         for k, j in zip(lanes, lanes if to is None else to, strict=True)
     )

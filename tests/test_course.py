@@ -45,6 +45,21 @@ def test_among_ways_straight_on_the_one_with_most_lanes_is_the_course(network):
     assert chosen.edges[0].leads_on_m == (0.0, 0.0, math.inf, math.inf, math.inf)
 
 
+@pytest.mark.parametrize("access", ['allow="bus"', 'disallow="passenger"'])
+def test_where_a_connection_is_closed_to_cars_the_course_goes_round(network, access):
+    bus_only = leads_on("a", "b", [0, 1], access=access)
+    file = network(edge("a"), edge("b", x=(200.0, 300.0)), edge("c", x=(100.0, 200.0)), bus_only)
+    assert len(course(file)) == 1
+    with pytest.raises(InputError, match="no way for cars leads from edge 'a' to edge 'b'"):
+        course(file, "a", "b")
+    detour = leads_on("a", "c", [0, 1]) + leads_on("c", "b", [0, 1])
+    file = network(edge("a"), edge("b", x=(200.0, 300.0)), edge("c", x=(100.0, 200.0)), bus_only, detour)
+    assert course(file, "a", "b") == course(file) == ["a", "c", "b"]
+    half = leads_on("a", "b", [0]) + leads_on("a", "b", [1], access=access)
+    file = network(edge("a"), edge("b", x=(100.0, 200.0)), half)
+    assert road.load(file).edges[0].leads_on_m == (math.inf, 0.0)
+
+
 def test_equal_chains_are_told_apart_by_id(network):
     assert course(network(edge("z"), edge("k"), edge("q"))) == ["k"]
 

@@ -1,3 +1,5 @@
+from pathlib import Path
+
 import pytest
 
 from rail_sumo import assets
@@ -37,12 +39,35 @@ def test_additional_files_are_read_too_and_refused_in_the_place_of_routes(tmp_pa
     traffic = written(tmp_path, '<routes><vehicle id="0"/></routes>')
     stops = written(tmp_path, '<additional><busStop id="s"/></additional>', "stops.add.xml")
     assert [str(path) for path in demand.check([traffic], [stops])[1]] == [stops]
-    with pytest.raises(InputError, match=r"has <busStop>, which .*'traffic\.additional=\[\"stops\.add\.xml\"\]'$"):
+    with pytest.raises(
+        InputError, match=r"has <busStop>, which .* move it to a file of its own, and name that in traffic\.additional$"
+    ):
         demand.check([traffic, stops])
     with pytest.raises(InputError, match=r"^additional file 'none\.add\.xml' does not exist"):
         demand.check([traffic], ["none.add.xml"])
     with pytest.raises(InputError, match=r"no element found"):
         demand.check([traffic], [written(tmp_path, "<additional>", "cut.add.xml")])
+
+
+def test_vehicles_in_an_additional_file_are_refused_beside_made_traffic_alone(tmp_path):
+    trips = written(tmp_path, '<additional><trip id="0"/></additional>', "trips.add.xml")
+    with pytest.raises(
+        InputError, match=r"trips\.add\.xml' puts vehicles on the road.* traffic\.routes \(--routes\), "
+    ):
+        demand.check([], [trips])
+    traffic = written(tmp_path, '<routes><vehicle id="1"/></routes>')
+    assert [str(path) for path in demand.check([traffic], [trips])[1]] == [trips]
+
+
+def test_an_included_file_is_refused_by_name(tmp_path):
+    with pytest.raises(InputError, match=r"own\.rou\.xml' includes 'more\.rou\.xml', .*; name that file itself$"):
+        demand.check([written(tmp_path, '<routes><include href="more.rou.xml"/></routes>')])
+
+
+def test_the_folders_that_detectors_write_into_are_known(tmp_path):
+    detectors = '<e1Detector id="d" file="e1.xml"/><calibrator id="c" output="sub/c.xml"/><edgeData file="/dev/null"/>'
+    path = Path(written(tmp_path, f"<additional>{detectors}</additional>", "d.add.xml"))
+    assert demand.folders_written([path]) == {tmp_path, tmp_path / "sub", Path("/dev")}
 
 
 @pytest.mark.parametrize("element", ['<vType id="rail_sumo_host"/>', '<vehicle id="rail_sumo_host" depart="90"/>'])

@@ -364,6 +364,37 @@ def test_the_duration_ends_the_episode(make):
     assert (driven.end_reason, len(driven.lane_changing), len(driven.actions)) == ("duration", 120, 12)
 
 
+def test_what_detectors_report_replaces_nothing_and_is_not_kept(make, tmp_path):
+    (tmp_path / "sub").mkdir()
+    (tmp_path / "sub" / "e1.xml").write_text("mine, of last week")
+    detector = '<e1Detector id="d" lane="highway_0" pos="500" period="5" file="sub/e1.xml"/>'
+    (tmp_path / "d.add.xml").write_text(f'<additional>{detector}<edgeData id="m" file="means.xml"/></additional>')
+    before = sorted(tmp_path.rglob("*"))
+    env = make(world(traffic=EMPTY | {"additional": [str(tmp_path / "d.add.xml")]}, episode={"duration_s": 20.0}))
+    drive(env, always(KEEP))
+    env.reset(seed=UNSEEN)
+    assert len(list(tmp_path.rglob("rail_sumo_*"))) == 2  # they do report
+    env.close()
+    assert sorted(tmp_path.rglob("*")) == before
+    assert (tmp_path / "sub" / "e1.xml").read_text() == "mine, of last week"
+
+
+def test_without_a_demand_too_the_clock_begins_when_it_is_told_to(make):
+    env = make(world(traffic={"begin_s": 25200.0}))
+    env.reset(seed=UNSEEN)
+    assert env.scene.time_s == pytest.approx(25200.1)
+
+
+def test_an_action_that_there_is_not_leaves_the_episode_as_it_was(make):
+    env = make(world(episode={"duration_s": 3.0}))
+    env.reset(seed=UNSEEN)
+    with pytest.raises(ValueError, match="5 is not a valid MetaAction"):
+        env.step(5)
+    _, _, _, over, info = [env.step(0) for _ in range(3)][-1]
+    assert over
+    assert {len(info["trajectory"].observations), len(info["trajectory"].actions)} == {3}
+
+
 def test_additional_files_are_loaded(make, tmp_path):
     """A bus that halts at a stop of theirs for longer than the episode."""
     stops, demand = tmp_path / "stops.add.xml", tmp_path / "bus.rou.xml"

@@ -9,8 +9,8 @@ from rail_sumo.highway.sumo_xml import seconds
 
 FULL = """<sumoConfiguration>
     <input>
-        <net-file value="in/my.net.xml"/>
-        <route-files value="cars.rou.xml, in/lorries.rou.xml.gz"/>
+        <net-file value=" in/my.net.xml"/>
+        <route-files value="cars.rou.xml, in/lorries.rou.xml.gz,"/>
         <additional-files value="stops.add.xml"/>
     </input>
     <time><begin value="7:00:00"/><end value=""/></time>
@@ -47,6 +47,11 @@ def test_sumos_other_names_for_its_options_are_read_too(tmp_path):
     assert sumocfg.read(written(tmp_path, other.replace("begin", "b"))) == sumocfg.read(written(tmp_path, FULL))
 
 
+def test_an_option_may_be_written_as_text(tmp_path):
+    keys, _ = sumocfg.read(written(tmp_path, "<configuration><net-file> my.net.xml </net-file></configuration>"))
+    assert keys == {"network.file": str(tmp_path / "my.net.xml")}
+
+
 def test_a_network_alone_leaves_the_rest_as_it_is(tmp_path):
     keys, unread = sumocfg.read(written(tmp_path, '<configuration><net-file v="my.net.xml"/></configuration>'))
     assert keys == {"network.file": str(tmp_path / "my.net.xml")}
@@ -57,6 +62,11 @@ def test_a_network_alone_leaves_the_rest_as_it_is(tmp_path):
     ("text", "said"),
     [
         ("<configuration>", r"^cannot read '.*my\.sumocfg': no element found"),
+        (
+            '<?xml version="1.0" encoding="Shift-JIS"?><c/>',
+            r"^cannot read '.*my\.sumocfg': multi-byte encodings are not",
+        ),
+        ('<?xml version="1.0" encoding="latin-99"?><c/>', r"^cannot read '.*my\.sumocfg': unknown encoding"),
         ("<configuration/>", r"my\.sumocfg' names no net-file; rail-sumo needs a network to drive on$"),
         ('<c><net-file value=""/></c>', r"names no net-file"),
         (FULL.replace("7:00:00", "dawn"), r"my\.sumocfg' begins at 'dawn', which is no time$"),

@@ -20,7 +20,8 @@ def car_lanes(edge: Any) -> list[Any]:
 def connections(here: Any, ahead: Any) -> list[Any]:
     """Return the connections that lead a car from one edge to the next, from right to left."""
     start, end = car_lanes(here), car_lanes(ahead)
-    found = [c for c in here.getConnections(ahead) if c.getFromLane() in start and c.getToLane() in end]
+    open_to_cars = [c for c in here.getConnections(ahead) if c.allows(CAR)]
+    found = [c for c in open_to_cars if c.getFromLane() in start and c.getToLane() in end]
     return sorted(found, key=lambda c: (c.getFromLane().getIndex(), c.getToLane().getIndex()))
 
 
@@ -84,11 +85,11 @@ def _between(here: Any, ahead: Any, net: Any, name: str) -> tuple[Any, ...]:
 
 def _shortest(here: Any, ahead: Any, net: Any) -> tuple[Any, ...] | None:
     # The edges from `here` to `ahead`; where they are the same, once round.
-    if ahead in here.getOutgoing():
+    if ahead in here.getAllowedOutgoing(CAR):
         return here, ahead
     if here is not ahead:
         return net.getOptimalPath(here, ahead, vClass=CAR)[0]
-    rounds = (net.getOptimalPath(out, ahead, vClass=CAR) for out in here.getOutgoing())
+    rounds = (net.getOptimalPath(out, ahead, vClass=CAR) for out in here.getAllowedOutgoing(CAR))
     way, _ = min((found for found in rounds if found[0]), key=lambda found: found[1], default=(None, 0.0))
     return way and (here, *way)
 

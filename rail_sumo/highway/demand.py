@@ -3,7 +3,7 @@
 import xml.etree.ElementTree as ElementTree
 from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
-from functools import lru_cache
+from functools import cache
 from pathlib import Path
 
 from rail_sumo import assets
@@ -20,6 +20,9 @@ ADDITIONAL = frozenset({
 })  # fmt: skip
 """Elements that SUMO passes over in route files, and reads from additional files."""
 
+OUTPUTS = ("file", "output", "dest")
+"""Attributes that name a file to be written."""
+
 OURS = "rail_sumo_"
 """What the ids of our own vehicles, types and routes begin with."""
 
@@ -31,6 +34,10 @@ class _Content:
     """Ids that are ours."""
     out_of_order: tuple[str, ...]
     """Ids of those that depart before one that stands before them."""
+    includes: tuple[str, ...]
+    """Files that are to be read in its place."""
+    outputs: tuple[str, ...]
+    """Names of files that it has SUMO write, and of some that it has SUMO read."""
 
 
 def check(routes: Iterable[str], additional: Iterable[str] = ()) -> tuple[tuple[Path, ...], tuple[Path, ...]]:
@@ -41,8 +48,8 @@ def check(routes: Iterable[str], additional: Iterable[str] = ()) -> tuple[tuple[
         additional: paths.
 
     Raises:
-        InputError: no such file, not XML, one that has our ids, routes with elements that SUMO reads from additional
-            files only, or no vehicle, flow or trip in any of the routes.
+        InputError: no such file, not XML, one that has our ids or includes another, routes with elements that SUMO
+            reads from additional files only, no vehicle, flow or trip in any of the routes, or some beside no routes.
     """
     demand, beside = tuple(map(assets.routes, routes)), tuple(map(assets.additional, additional))
     contents = {path: _content(path, state_of(path)) for path in (*demand, *beside)}
@@ -51,17 +58,33 @@ def check(routes: Iterable[str], additional: Iterable[str] = ()) -> tuple[tuple[
             raise InputError(
                 f"'{path}' has the id '{content.taken[0]}'; ids that begin with {OURS} are rail-sumo's own: rename it"
             )
+        if content.includes:
+            raise InputError(
+                f"'{path}' includes '{content.includes[0]}', which rail-sumo does not follow; name that file itself"
+            )
     for path in demand:
         misplaced = sorted(contents[path].elements & ADDITIONAL)
         if misplaced:
             raise InputError(
-                f"demand '{path}' has <{misplaced[0]}>, which SUMO reads from additional files only; give its file by "
-                f"--set 'traffic.additional=[\"{path.name}\"]'"
+                f"demand '{path}' has <{misplaced[0]}>, which SUMO reads from additional files only; move it to a file "
+                f"of its own, and name that in traffic.additional"
+            )
+    for path in () if demand else beside:
+        if contents[path].elements.intersection(TRAFFIC_ELEMENTS):
+            raise InputError(
+                f"'{path}' puts vehicles on the road, beside traffic that is made for the host; name it in "
+                f"traffic.routes (--routes), not in traffic.additional"
             )
     if demand and not any(contents[path].elements.intersection(TRAFFIC_ELEMENTS) for path in demand):
         names = "', '".join(map(str, demand))
         raise InputError(f"demand '{names}' has no <vehicle>, <flow> or <trip>; rail-sumo needs traffic to drive in")
     return demand, beside
+
+
+def folders_written(additional: Iterable[Path]) -> set[Path]:
+    """Return the folders into which additional files have SUMO write."""
+    written = ((path, name) for path in additional for name in _content(path, state_of(path)).outputs)
+    return {(path.parent / name).parent for path, name in written}
 
 
 def warnings(demand: Iterable[Path]) -> Iterator[str]:
@@ -76,9 +99,14 @@ def warnings(demand: Iterable[Path]) -> Iterator[str]:
             )
 
 
-@lru_cache(maxsize=32)  # every episode asks
+@cache  # every episode asks
 def _content(path: Path, state: tuple[int, int]) -> _Content:
-    elements, taken, out_of_order, latest_s = set(), [], [], 0.0
+    elements: set[str] = set()
+    taken: list[str] = []
+    out_of_order: list[str] = []
+    includes: list[str] = []
+    outputs: list[str] = []
+    latest_s = 0.0
     try:
         with opened(path) as stream:
             for _, element in ElementTree.iterparse(stream):
@@ -86,6 +114,9 @@ def _content(path: Path, state: tuple[int, int]) -> _Content:
                 name = element.get("id", "")
                 if name.startswith(OURS):
                     taken.append(name)
+                if element.tag == "include":
+                    includes.append(element.get("href", ""))
+                outputs += filter(None, map(element.get, OUTPUTS))
                 if element.tag in TRAFFIC_ELEMENTS:
                     departs_s = _departure_s(element, otherwise=latest_s)
                     if departs_s < latest_s:
@@ -94,7 +125,7 @@ def _content(path: Path, state: tuple[int, int]) -> _Content:
                 element.clear()
     except UNREADABLE as error:
         raise InputError(f"'{path}' is not a complete XML file: {error}") from None
-    return _Content(frozenset(elements), tuple(taken), tuple(out_of_order))
+    return _Content(frozenset(elements), tuple(taken), tuple(out_of_order), tuple(includes), tuple(outputs))
 
 
 def _departure_s(element: ElementTree.Element, *, otherwise: float) -> float:

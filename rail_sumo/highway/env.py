@@ -103,7 +103,7 @@ class HighwayEnv(gymnasium.Env[Floats, np.int64]):
             self._road,
             routes=self._demand,
             additional=self._additional,
-            begin_s=traffic.begin_s if self._demand else 0.0,
+            begin_s=traffic.begin_s,
             adas=adas,
             seed=self._seed,
             context_m=max(self.config.lidar.max_range_m, self._near_m) + VEHICLE_M,
@@ -157,14 +157,16 @@ class HighwayEnv(gymnasium.Env[Floats, np.int64]):
         """Take one decision and drive until the next falls due; returns the next observation and the steps driven.
 
         Raises:
+            ValueError: no such action.
             InputError: SUMO gives up, for example at a vehicle of the user's demand that cannot drive its route.
         """
         simulation, adas = self._under_way(), self._adas
         due = min(self._period_steps, self._duration_steps - len(self._lane_changing))
+        decided = MetaAction(action)
         self._observations.append(self._observation)
-        self._actions.append(action)
+        self._actions.append(decided)
         host = simulation.host()
-        self._carried_out.append(adas.decide(MetaAction(action), host, simulation.gaps))
+        self._carried_out.append(adas.decide(decided, host, simulation.gaps))
         driven = 0
         while True:
             was_changing = adas.changing_lane

@@ -1,6 +1,7 @@
 """The one libsumo process: Scene out, Command in. Every SUMO fact is converted once, here."""
 
 import math
+import os
 from collections.abc import Sequence
 from pathlib import Path
 
@@ -10,7 +11,7 @@ import numpy as np
 from rail_sumo import config
 from rail_sumo.errors import InputError
 from rail_sumo.highway import sumo_errors
-from rail_sumo.highway.demand import OURS
+from rail_sumo.highway.demand import OURS, folders_written
 from rail_sumo.highway.road import Road
 from rail_sumo.highway.signals import NO_SIGNAL, Signal
 from rail_sumo.records import KMH, SECONDS_PER_STEP, Command, Gaps, HostState, Scene
@@ -59,7 +60,8 @@ class Simulation:
     Args:
         road: the network and the host's course on it.
         routes: the user's demand files.
-        additional: the user's additional files: stops, signal programs and the like.
+        additional: the user's additional files: stops, signal programs and the like. What detectors among them report
+            is taken away at the end.
         begin_s: when to begin in the demand's time, in seconds.
         adas: limits of the host's own car-following (ACC and AEB).
         seed: SUMO's seed.
@@ -99,6 +101,8 @@ class Simulation:
         self._drives_on = False  # past the next signal, though it is not green
         self._lateral_m = 0.0
         self._held: dict[str, int] = {}  # who may not change lanes now, with the lane-change mode to give back
+        self._prefix = f"{OURS}{os.getpid()}_"
+        self._written = folders_written(additional)
         self.collisions = 0
         self.struck = 0
         self.min_ttc_s = math.inf
@@ -113,6 +117,8 @@ class Simulation:
                 # A vehicle of the window enters at once or not at all.
                 *(() if routes else ("--max-depart-delay", "0")),
                 *("--no-step-log", "true", "--no-warnings", "true", "--xml-validation", "never"),
+                # What the user's detectors report is nobody's, and must not replace what they reported before.
+                *(("--output-prefix", self._prefix) if additional else ()),
                 *outputs,
             ]
         )
@@ -131,6 +137,9 @@ class Simulation:
         if self._is_open:
             libsumo.close()
             Simulation._running = self._is_open = False
+            for folder in self._written:
+                for report in folder.glob(f"{self._prefix}*"):
+                    report.unlink(missing_ok=True)
 
     def _equip_host(self) -> None:
         """Give the host car-following that brakes safely and never harder than it may.

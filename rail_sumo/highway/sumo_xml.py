@@ -7,14 +7,17 @@ import zlib
 from io import BufferedIOBase
 from pathlib import Path
 
-UNREADABLE = (xml.sax.SAXParseException, ElementTree.ParseError, zlib.error, EOFError, OSError)
+UNREADABLE = (
+    *(xml.sax.SAXParseException, ElementTree.ParseError, zlib.error, EOFError, OSError),
+    *(LookupError, ValueError),  # of encodings that the parser does not know
+)
 """What reading a file raises that is damaged, or no XML."""
 
 _SIZES_S = (1.0, 60.0, 3600.0, 86400.0)
 
 
 def opened(path: Path) -> BufferedIOBase:
-    """Open a file as SUMO does: compressed if it is called so."""
+    """Open a file, compressed if it is called so."""
     return gzip.open(path) if path.suffix == ".gz" else path.open("rb")
 
 

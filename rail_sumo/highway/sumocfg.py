@@ -39,7 +39,8 @@ def read(path: Path) -> tuple[dict[str, Any], list[str]]:
     keys: dict[str, Any] = {"network.file": str(path.parent / options["net-file"])}
     for option, key in (("route-files", "traffic.routes"), ("additional-files", "traffic.additional")):
         if option in options:
-            keys[key] = [str(path.parent / name.strip()) for name in options[option].split(",")]
+            names = filter(None, map(str.strip, options[option].split(",")))
+            keys[key] = [str(path.parent / name) for name in names]
     if "begin" in options:
         try:
             keys["traffic.begin_s"] = seconds(options["begin"])
@@ -51,6 +52,6 @@ def read(path: Path) -> tuple[dict[str, Any], list[str]]:
 def _options(root: ElementTree.Element) -> Iterator[tuple[str, str]]:
     """Yield the options that are set, by name."""
     for element in root.iter():
-        value = element.get("value") or element.get("v")
+        value = (element.get("value") or element.get("v") or element.text or "").strip()
         if value:
             yield element.tag, value
