@@ -1,6 +1,7 @@
 """Speed limits and signals are kept, and braked for comfortably."""
 
 import re
+from pathlib import Path
 
 import libsumo
 import numpy as np
@@ -97,6 +98,18 @@ def test_for_a_red_light_the_host_brakes_comfortably_and_no_sooner_than_it_must(
     assert speeds[fronts < 996.0 - 130.0][-1] * KMH == pytest.approx(80.0)  # 2.5 m + (80 / 3.6)^2 / 4 = 126 m
     assert speeds[times <= 80.0][-1] == pytest.approx(0.0, abs=0.01)
     assert fronts[-1] > 1050.0
+
+
+@pytest.mark.parametrize("hands_off", [False, True])
+def test_for_a_red_light_behind_a_green_one_the_host_brakes_comfortably(make, watched, hands_off):
+    network = {"file": str(Path(__file__).with_name("two_signals.net.xml"))}
+    env = make(world(network=network, traffic=EMPTY, episode={"duration_s": 100.0}), hands_off=hands_off)
+    driven = drive(env, always(ACCELERATE), UNSEEN)
+    fronts = np.array([scene.x_m[0] + 0.5 * scene.length_m[0] for scene in watched().scenes])
+    times = np.array([scene.time_s for scene in watched().scenes])
+    assert 1074.0 < fronts[times <= 80.0].max() < 1080.0
+    assert np.diff(driven.speed_mps).min() >= -0.2 - 1e-6  # 2 m/s²
+    assert fronts[-1] > 1100.0
 
 
 def test_a_signal_that_blinks_or_is_switched_off_stops_nobody(make, watched, signalled):

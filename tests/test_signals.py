@@ -4,7 +4,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from rail_sumo.highway.signals import NO_SIGNAL, Signal
+from rail_sumo.highway.signals import Signal
 
 STOPPING_M = 60.0 * 60.0 / 12.96 / 18.0  # from 60 km/h at 9 m/s²: 15.4 m
 
@@ -38,8 +38,3 @@ def test_the_host_stops_at_red_and_at_a_yellow_that_it_would_miss(state, ahead_m
 def test_whoever_stops_at_red_would_also_stop_from_a_lower_speed(state, ahead_m, one, other):
     signal = Signal(ahead_m, state, 60.0)
     assert signal.stops(min(one, other), braking_mps2=9.0) >= signal.stops(max(one, other), braking_mps2=9.0)
-
-
-def test_no_signal_is_green():
-    assert NO_SIGNAL.is_green
-    assert not stops(NO_SIGNAL)

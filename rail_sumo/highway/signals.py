@@ -1,6 +1,5 @@
 """A traffic signal on the host's way, and whether the host stops at it."""
 
-import math
 from typing import NamedTuple
 
 YELLOW = frozenset("yY")
@@ -34,6 +33,3 @@ class Signal(NamedTuple):
         if self.is_green or speed_mps**2 / (2 * braking_mps2) > self.ahead_m:
             return False
         return not self.is_yellow or speed_mps * self.left_s < self.ahead_m
-
-
-NO_SIGNAL = Signal(math.inf, "", math.inf)

@@ -13,7 +13,7 @@ from rail_sumo.errors import InputError
 from rail_sumo.highway import sumo_errors
 from rail_sumo.highway.demand import OURS, folders_written
 from rail_sumo.highway.road import Road
-from rail_sumo.highway.signals import NO_SIGNAL, Signal
+from rail_sumo.highway.signals import Signal
 from rail_sumo.records import KMH, SECONDS_PER_STEP, Command, Gaps, HostState, Scene
 
 # Ids that no demand of a user's has; the types' are those of `TYPES`.
@@ -47,6 +47,8 @@ WAIT_S = 120.0
 LEADER_RANGE_M = 100.0
 STOP_SHORT_M = 2.5
 """How far before a stop line the host stops. SUMO's own distance is 1 m, and it brakes for that harder at the end."""
+SLACK_M = 100.0
+"""Signals are heeded from this much farther away than the host needs to stop comfortably from its highest speed."""
 STOREY_M = 3.0
 """Vehicles farther above or below drive on another road, as on a bridge."""
 
@@ -98,6 +100,7 @@ class Simulation:
         self._routes: dict[tuple[str, ...], str] = {}
         self._edges = {edge.id: edge for edge in road.edges}
         self.speeds_mps: list[float] = []
+        self._heeds_m = (adas.max_speed_kmh / KMH) ** 2 / (2 * adas.comfort_braking_mps2) + SLACK_M
         self._drives_on = False  # past the next signal, though it is not green
         self._lateral_m = 0.0
         self._held: dict[str, int] = {}  # who may not change lanes now, with the lane-change mode to give back
@@ -306,7 +309,7 @@ class Simulation:
         speed, lane = vehicle.getSpeed(HOST), vehicle.getLaneIndex(HOST)
         limit = libsumo.lane.getMaxSpeed(vehicle.getLaneID(HOST))
         if edge is None or lane not in (lanes := edge.lanes):  # on a junction, or strayed
-            ahead = (*self._limits_beyond_this_lane(), *self._stop_ahead(0.0))
+            ahead = (*self._limits_beyond_this_lane(), *self._stops_ahead(0.0))
             return HostState(speed, lane, lane, lane, 0.0, 0.0, 0.0, 0.0, (math.inf,), limit, ahead)
         here = lane - edge.first_lane
         to_edge_end_m = edge.length_m - vehicle.getLanePosition(HOST)
@@ -321,7 +324,7 @@ class Simulation:
             to_right_m=edge.to_right_m[here],
             leads_on_m=edge.leads_on_m,
             limit_mps=limit,
-            limits_ahead=(*edge.limits_ahead, *self._stop_ahead(to_edge_end_m)),
+            limits_ahead=(*edge.limits_ahead, *self._stops_ahead(to_edge_end_m)),
         )
 
     def _limits_beyond_this_lane(self) -> tuple[tuple[float, float], ...]:
@@ -335,20 +338,21 @@ class Simulation:
         beyond = ((to_it_m + ahead.length_m + metres, limit) for metres, limit in ahead.limits_ahead)
         return (to_it_m, ahead.limit_mps), *beyond
 
-    def _stop_ahead(self, to_edge_end_m: float) -> tuple[tuple[float, float], ...]:
-        """Return a signal that the host stops at as a limit of 0: SUMO would brake for it as late as it can."""
-        signal = self._next_signal()
-        return ((signal.ahead_m - STOP_SHORT_M - to_edge_end_m, 0.0),) if self._stops_at(signal) else ()
+    def _stops_ahead(self, to_edge_end_m: float) -> tuple[tuple[float, float], ...]:
+        """Return signals that the host stops at as limits of 0: SUMO would brake for them as late as it can."""
+        stops = filter(self._stops_at, self._signals())
+        return tuple((signal.ahead_m - STOP_SHORT_M - to_edge_end_m, 0.0) for signal in stops)
+
+    def _signals(self) -> list[Signal]:
+        """Return the signals that the host may have to brake for by now, the nearest first."""
+        if not self._has_signals:
+            return []
+        now, next_switch = libsumo.simulation.getTime(), libsumo.trafficlight.getNextSwitch
+        ahead = libsumo.vehicle.getNextTLS(HOST)
+        return [Signal(m, state, next_switch(name) - now) for name, _, m, state in ahead if m < self._heeds_m]
 
     def _stops_at(self, signal: Signal) -> bool:
         return signal.stops(libsumo.vehicle.getSpeed(HOST), braking_mps2=self._adas.emergency_braking_mps2)
-
-    def _next_signal(self) -> Signal:
-        ahead = libsumo.vehicle.getNextTLS(HOST) if self._has_signals else ()
-        if not ahead:
-            return NO_SIGNAL
-        name, _, metres, state = ahead[0]
-        return Signal(metres, state, libsumo.trafficlight.getNextSwitch(name) - libsumo.simulation.getTime())
 
     def gaps(self, side: int) -> Gaps:
         """Return the gaps in the host's own lane (0) or the one to its left (+1) or right (-1)."""
@@ -381,10 +385,12 @@ class Simulation:
     def run(self, command: Command) -> int:
         """Carry a command out and return the number of steps driven.
 
-        They are fewer than asked where the host collides, or a signal ahead changes or is yellow.
+        They are fewer than asked where the host collides, or signals ahead change or are yellow.
         """
-        vehicle, signal = libsumo.vehicle, self._next_signal()
-        drives_on = not signal.is_green and not self._stops_at(signal)
+        vehicle, signals = libsumo.vehicle, self._signals()
+        shown = [signal.state for signal in signals]
+        drives_on = any(not signal.is_green and not self._stops_at(signal) for signal in signals[:1])
+        looks_again = drives_on or any(signal.is_yellow for signal in signals)
         if drives_on != self._drives_on:
             vehicle.setSpeedMode(HOST, IGNORE_SIGNALS if drives_on else SUMO_SPEED_MODE)
             self._drives_on = drives_on
@@ -400,7 +406,7 @@ class Simulation:
             self._step()
             if self.contact:
                 return driven
-            if self._has_signals and (signal.is_yellow or self._next_signal().state != signal.state):
+            if self._has_signals and (looks_again or [signal.state for signal in self._signals()] != shown):
                 return driven
         return command.steps
 
