@@ -232,6 +232,22 @@ def test_a_host_that_finds_no_gap_is_a_users_error():
             simulation.wait_for_host()
 
 
+def test_into_a_slow_queue_the_host_enters_slower_once_it_has_waited_for_a_gap(tmp_path):
+    flows = "".join(
+        f'<flow id="{lane}" type="tractor" begin="0" end="900" period="2" departLane="{lane}" departSpeed="max">'
+        f'<route edges="highway"/></flow>'
+        for lane in range(3)
+    )
+    (tmp_path / "queue.rou.xml").write_text(f'<routes><vType id="tractor" maxSpeed="5"/>{flows}</routes>')
+    with simulate("highway3", routes=[tmp_path / "queue.rou.xml"]) as simulation:
+        simulation.run_without_host(60.0)
+        simulation.add_host(["highway"], lane=1, front_m=10.0, speed_mps=20.0)
+        simulation.wait_for_host()
+        assert 90.0 < libsumo.simulation.getTime() < 180.0
+        assert 0.0 < simulation.speeds_mps[0] < 5.0
+        assert libsumo.vehicle.getMaxSpeed(HOST) == pytest.approx(EXPRESSWAY.max_speed_kmh / KMH)
+
+
 # Closed forms.
 
 

@@ -43,7 +43,8 @@ IGNORE_SIGNALS = 15
 
 SEEDS = 2**31
 """SUMO takes seeds below this."""
-WAIT_S = 120.0
+WAIT_S, GAP_WAIT_S = 120.0, 30.0
+"""How long to wait for the host to enter, and of that for a gap that lets it do so at its starting speed."""
 LEADER_RANGE_M = 100.0
 STOP_SHORT_M = 2.5
 """How far before a stop line the host stops. SUMO's own distance is 1 m, and it brakes for that harder at the end."""
@@ -233,14 +234,16 @@ class Simulation:
     def wait_for_host(self) -> None:
         """Let the traffic drive until the host has entered.
 
-        In a window SUMO leaves out whom it does not let start so fast, as just before a red light; then the host
-        enters as fast as it can.
+        Where SUMO does not let it start so fast, as just before a red light, it enters as fast as it can: at once in a
+        window, from which SUMO leaves it out; in the user's own demand after waiting `GAP_WAIT_S` for a larger gap.
 
         Raises:
             InputError: it has not entered within `WAIT_S`.
         """
         vehicle, slower = libsumo.vehicle, False
         for number in range(round(WAIT_S / SECONDS_PER_STEP)):
+            if number == round(GAP_WAIT_S / SECONDS_PER_STEP) and not slower:
+                vehicle.remove(HOST)
             if number and HOST not in libsumo.simulation.getPendingVehicles():
                 slower = True
                 self._enter("max")
