@@ -1,6 +1,7 @@
 """Every knob: TOML into frozen, typed models that refuse what they don't know."""
 
 import difflib
+import json
 import math
 import textwrap
 import tomllib
@@ -397,7 +398,8 @@ def load(path: Path | None = None, overrides: Iterable[str] = ()) -> Config:
 def validate(tree: dict[str, Any]) -> Config:
     """Return the configuration a nested dict describes; see `load` for the errors."""
     try:
-        return Config.model_validate_json(_json(tree))
+        # In JSON, since strict validation of Python objects refuses lists for tuples.
+        return Config.model_validate_json(json.dumps(tree, default=str))
     except ValidationError as error:
         raise InputError(_explain(error)) from None
 
@@ -439,13 +441,6 @@ def explained(config: Config) -> str:
 
 def _comment(text: str | None) -> list[str]:
     return textwrap.wrap(text or "", 120, initial_indent="# ", subsequent_indent="# ")
-
-
-def _json(tree: dict[str, Any]) -> str:
-    # Strict validation from Python objects refuses lists for tuples; JSON mode is strict about scalars alone.
-    from pydantic_core import to_json
-
-    return to_json(tree, inf_nan_mode="constants").decode()
 
 
 def _apply(tree: dict[str, Any], override: str) -> None:

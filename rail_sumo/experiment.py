@@ -12,21 +12,25 @@ import tomllib
 from collections.abc import Iterable
 from dataclasses import dataclass
 from pathlib import Path
+from typing import cast
 
 import pandas as pd
 import pyarrow as pa
 import pyarrow.parquet as pq
 
 from rail_sumo import drivers, report, rollout, run, training
-from rail_sumo.config import Config, dumps, validate
+from rail_sumo.config import ITERATIONS, Config, Learner, dumps, validate
 from rail_sumo.errors import InputError
 from rail_sumo.files import check_folder, whole_file
 from rail_sumo.records import EPISODE_COLUMNS
 from rail_sumo.rollout import SILENT, Observer, Who, WorkerCount
 from rail_sumo.run_directory import RunDirectory
 
-QUICK = {"rail": 40, "rewarded": 40, "gail": 40, "bc": 0, "dagger": 5}
-"""Who learns, and the iterations of an experiment that is to show its shape within minutes: a quarter."""
+LEARNERS = ("rail", "rewarded", "gail", "bc", "dagger")
+"""Who is trained; `rewarded` is RAIL that the environment pays too."""
+
+QUICK = 4
+"""An experiment that is to show its shape within minutes has so many times fewer iterations."""
 
 REWARD_WEIGHT = 3.0
 """Of the environment's reward beside the judge's, for RAIL that is paid both; `rail.reward_weight` tells another."""
@@ -44,7 +48,7 @@ class Cell:
     """One training, or one driver that does not train, and its held-out episodes."""
 
     learner: str
-    """Of `QUICK`, or a driver's name."""
+    """Of `LEARNERS`, or a driver's name."""
     layers: int
     """0 of a driver that does not train."""
     trajectories: int
@@ -63,7 +67,7 @@ class Cell:
         if not found:
             return None
         cell = cls(found[1], int(found[2]), int(found[3]), int(found[4]))
-        layers = (1, 2) if cell.learner in QUICK else (0,) if cell.learner in drivers.NAMES else ()
+        layers = (1, 2) if cell.learner in LEARNERS else (0,) if cell.learner in drivers.NAMES else ()
         return cell if cell.layers in layers else None
 
 
@@ -183,10 +187,11 @@ def _world(cell: Cell, config: Config, quick: bool) -> Config:
     """Return the configuration that a cell is trained and driven with."""
     if not cell.layers:
         return config.resolved()
+    learner: Learner = "rail" if cell.learner == "rewarded" else cast(Learner, cell.learner)
     default = config.train.iterations == "default"
-    iterations = QUICK[cell.learner] if quick and default else config.train.iterations
+    iterations = ITERATIONS[learner] // QUICK if quick and default else config.train.iterations
     changed = {
-        "learner": "rail" if cell.learner == "rewarded" else cell.learner,
+        "learner": learner,
         "trajectories": cell.trajectories,
         "iterations": "default" if cell.learner == "bc" else iterations,
     }

@@ -47,6 +47,10 @@ class Whitening:
         """Take measured moments; a feature that never varies keeps its scale."""
         return cls(mean, np.where(std < 1e-8, 1.0, std))
 
+    def __call__(self, observations: Floats) -> Floats:
+        """Return observations centred and scaled, shape (n, n_features)."""
+        return (observations - self.mean) / self.std
+
 
 class Policy:
     """Deterministic supervisor: the action with the largest of five outputs.

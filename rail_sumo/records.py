@@ -73,7 +73,7 @@ class HostState:
 
 @dataclass(frozen=True, slots=True)
 class Gaps:
-    """The gaps in a neighbouring lane, bumper to bumper; a vehicle alongside makes one negative; inf if none."""
+    """The gaps in a lane, bumper to bumper; a vehicle alongside makes one negative; inf if none."""
 
     ahead_m: float
     ahead_speed_mps: float
@@ -159,7 +159,7 @@ SUMMARY_COLUMNS: dict[str, str] = {
     "high": "float64",
     "ratio_to_expert": "float64",
 }
-"""Columns of the `summary` table, in order: interquartile mean with its 95 % bootstrap interval `low`..`high`."""
+"""Columns of the `summary` table, in order: interquartile mean with its 95 % interval `low`..`high`; see `report`."""
 
 METRICS: tuple[str, ...] = tuple(
     name for name, kind in EPISODE_COLUMNS.items() if kind != "string" and name not in ("episode", "seed")

@@ -253,8 +253,7 @@ def judge_of(run: RunDirectory) -> "Judge":
     """Return a run's judge as it stands after the run's last iteration."""
     from rail_sumo.imitation.discriminator import Judge
 
-    config, clone = run.config, run.clone
-    judge = Judge(clone.shape.n_features, clone.whitening, config.judge, run.seed, horizon_decisions(config))
+    judge = Judge(run.clone.whitening, run.config.judge, run.seed, horizon_decisions(run.config))
     memory = run.checkpoint().memory
     if memory:
         judge.load_state(_part(JUDGES, memory))

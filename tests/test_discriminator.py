@@ -18,7 +18,7 @@ THOROUGH = Settings(hidden=(8,), learning_rate=0.01, minibatches=600)
 
 
 def judge(settings=SMALL, n_features=2, seed=0):
-    return Judge(n_features, Whitening(np.zeros(n_features), np.ones(n_features)), settings, seed, HORIZON)
+    return Judge(Whitening(np.zeros(n_features), np.ones(n_features)), settings, seed, HORIZON)
 
 
 def constant_judge(logit):
@@ -75,7 +75,7 @@ def test_a_judge_with_hand_set_weights_gives_its_logit():
 
 
 def test_in_an_observation_it_sees_the_whitened_values():
-    plain, whitened = judge(), Judge(2, Whitening(np.array([1.0, -2.0]), np.array([4.0, 0.5])), SMALL, 0, HORIZON)
+    plain, whitened = judge(), Judge(Whitening(np.array([1.0, -2.0]), np.array([4.0, 0.5])), SMALL, 0, HORIZON)
     seen = np.array([[5.0, -1.0], [1.0, -2.5]])
     expected = plain.rewards(np.array([[1.0, 2.0], [0.0, -1.0]]), np.array([0, 3]))
     assert whitened.rewards(seen, np.array([0, 3])) == pytest.approx(expected)
@@ -177,11 +177,6 @@ def test_another_judges_state_is_refused():
         judge().load_state(larger.state())
     with pytest.raises(KeyError, match=r"network\.0\.weight"):
         judge().load_state({})
-
-
-def test_whitening_must_fit():
-    with pytest.raises(ValueError, match=r"whitening must have shape \(3,\); got \(2,\)"):
-        Judge(3, Whitening(np.zeros(2), np.ones(2)), SMALL, 0, HORIZON)
 
 
 def test_a_decision_is_judged_as_what_came_of_it():

@@ -146,7 +146,7 @@ def test_the_recipe_is_what_ppo_is_trained_by(monkeypatch):
     assert seen["world"] == world.practice(30.0)
     assert seen["traffic"] == 900
     two_frames = np.tile([*[100.0] * 24, *[10.0] * 24], 2)
-    np.testing.assert_array_equal(ppo.scale_of(world, 96), two_frames)
+    np.testing.assert_array_equal(ppo.scale_of(world), two_frames)
     assert np.abs(seen["first"]).max() <= 10.0  # distances of up to 1, relative speeds in tens of m/s
     assert 0.5 < seen["first"].max() <= 1.0
 
@@ -168,7 +168,7 @@ def test_ppo_folds_its_scale_into_the_first_layer(left_alone_by):
         np.testing.assert_array_equal(biases, same_biases)
     assert not np.array_equal(first[0][0], other[0][0])
     assert np.abs(first[0][0] / unmoved[0][0] - 1.0).max() > 1e-3
-    scale = ppo.scale_of(tiny, N_FEATURES)
+    scale = ppo.scale_of(tiny)
     assert scale[0] == tiny.lidar.max_range_m
     assert scale[24] == 10.0
     # Orthogonal initialisation at gain sqrt(2) gives rows of that length; one update hardly moves them.

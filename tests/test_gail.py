@@ -37,7 +37,7 @@ def train(ppo, judge, iterations, first_iteration=1):
 
 
 def judge():
-    return Judge(3, WHITENING, JUDGE, 0, horizon_decisions=N_DECISIONS)
+    return Judge(WHITENING, JUDGE, 0, horizon_decisions=N_DECISIONS)
 
 
 class Indifferent:

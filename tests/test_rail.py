@@ -30,7 +30,7 @@ def evaluate(theta, perturbations, iteration):
 
 
 def judge(settings=JUDGE, seed=0):
-    return Judge(3, WHITENING, settings, seed, horizon_decisions=N_DECISIONS)
+    return Judge(WHITENING, settings, seed, horizon_decisions=N_DECISIONS)
 
 
 def train(judge, iterations, theta=None, seed=0, first_iteration=1, evaluate=evaluate):

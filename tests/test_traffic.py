@@ -9,7 +9,7 @@ import pytest
 from rail_sumo import config
 from rail_sumo.highway import road
 from rail_sumo.highway.simulation import HOST, Simulation
-from rail_sumo.highway.traffic import CLEAR_OF_CHANGE_M, START_GAP_M, MovingWindow, UserTraffic
+from rail_sumo.highway.traffic import CLEAR_OF_CHANGE_M, START_GAP_M, MovingWindow
 from rail_sumo.records import KMH, Command
 
 START_M = 200.0
@@ -232,18 +232,6 @@ def test_the_vehicles_of_a_window_never_touch_one_another(window, tmp_path):
             begun.drive()
         begun.simulation.close()
         assert "<collision " not in output.read_text(), seed
-
-
-def test_a_users_own_traffic_is_left_alone():
-    with Simulation(road.load("highway5"), adas=ADAS, seed=1, context_m=120.0) as simulation:
-        simulation.add_host(["highway"], lane=0, front_m=100.0, speed_mps=20.0)
-        simulation.add_vehicle("mine", ["highway"], lane=0, front_m=400.0, desired_speed_mps=15.0)
-        simulation.wait_for_host()
-        for _ in range(30):
-            UserTraffic().update(elapsed_s=2.0, host_changing_lane=False)
-            simulation.run(Command(20.0, steps=20))
-            assert simulation.on_road() == {HOST, "mine"}
-        assert libsumo.vehicle.getLaneIndex("mine") == 0
 
 
 def test_a_vehicle_ordered_off_the_road_or_into_another_stays_where_it_is():

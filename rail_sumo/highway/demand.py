@@ -25,6 +25,7 @@ OUTPUTS = ("file", "output", "dest")
 
 OURS = "rail_sumo_"
 """What the ids of our own vehicles, types and routes begin with."""
+HOST = f"{OURS}host"
 
 
 @dataclass(frozen=True, slots=True)

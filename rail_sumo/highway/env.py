@@ -19,7 +19,7 @@ from rail_sumo.highway.observation import Layout
 from rail_sumo.highway.passing import NEAR_M, PassCounter
 from rail_sumo.highway.reward import reward
 from rail_sumo.highway.simulation import HOST, Simulation
-from rail_sumo.highway.traffic import MovingWindow, Traffic, UserTraffic
+from rail_sumo.highway.traffic import MovingWindow
 from rail_sumo.records import KMH, SECONDS_PER_STEP, EndReason, Floats, Gaps, HostState, MetaAction, Scene, Trajectory
 
 MARGIN_M = 50.0
@@ -122,9 +122,9 @@ class HighwayEnv(gymnasium.Env[Floats, np.int64]):
                     f"traffic.begin_s to a time with traffic, or lengthen traffic.warm_up_s"
                 )
         simulation.add_host(edges, lane=lane, front_m=place[1], speed_mps=adas.start_speed_kmh / KMH)
-        self._traffic: Traffic = UserTraffic()
+        self._window: MovingWindow | None = None
         if not self._demand:
-            self._traffic = MovingWindow(
+            self._window = MovingWindow(
                 simulation, self._road, traffic, host_s_m=self._start_m, host_lane=lane, farthest_m=farthest_m, rng=rng
             )
         simulation.wait_for_host()
@@ -195,7 +195,8 @@ class HighwayEnv(gymnasium.Env[Floats, np.int64]):
         self._overtaken += overtaken
         self._scene = scene
         self._end = self._why_over()
-        self._traffic.update(elapsed_s=driven * SECONDS_PER_STEP, host_changing_lane=adas.changing_lane)
+        if self._window is not None:
+            self._window.update(elapsed_s=driven * SECONDS_PER_STEP, host_changing_lane=adas.changing_lane)
         self._observation = self._layout.observe(
             *self._scan(scene), speed_mps=scene.speed_mps[0], lateral_m=adas.lateral_m
         )

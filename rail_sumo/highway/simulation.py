@@ -11,13 +11,13 @@ import numpy as np
 from rail_sumo import config
 from rail_sumo.errors import InputError
 from rail_sumo.highway import sumo_errors
-from rail_sumo.highway.demand import OURS, folders_written
+from rail_sumo.highway.demand import HOST, OURS, folders_written
 from rail_sumo.highway.road import Road
 from rail_sumo.highway.signals import Signal
 from rail_sumo.records import KMH, SECONDS_PER_STEP, Command, Gaps, HostState, Scene
 
 # Ids that no demand of a user's has; the types' are those of `TYPES`.
-HOST = HOST_TYPE = f"{OURS}host"
+HOST_TYPE = HOST
 TRAFFIC_TYPE = f"{OURS}traffic"
 ROUTE = f"{OURS}route"
 TYPES = Path(__file__).with_name("types.add.xml")

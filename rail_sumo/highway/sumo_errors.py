@@ -8,7 +8,7 @@ from contextlib import contextmanager
 import libsumo
 
 from rail_sumo.errors import InputError
-from rail_sumo.highway.demand import OURS
+from rail_sumo.highway.demand import HOST
 
 SUMO_ERRORS = (libsumo.TraCIException, libsumo.FatalTraCIError)
 
@@ -22,7 +22,7 @@ def as_input_errors() -> Iterator[None]:
     try:
         yield
     except SUMO_ERRORS as error:
-        if f"'{OURS}host'" in str(error):
+        if f"'{HOST}'" in str(error):
             raise InputError(
                 "the host was taken off the road; keep rerouters, vaporizers and the like on its course out of "
                 f"traffic.additional (SUMO: {error})"

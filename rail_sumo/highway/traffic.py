@@ -1,7 +1,6 @@
-"""The surrounding vehicles: a window that moves with the host, or the user's own demand."""
+"""The surrounding vehicles where the user brings none: a window that moves with the host."""
 
 from itertools import count
-from typing import Protocol
 
 import numpy as np
 
@@ -18,20 +17,6 @@ lane from either side do not see each other until it is late."""
 
 PERIOD_S = 2.0
 """How often the window looks for vehicles that have left it."""
-
-
-class Traffic(Protocol):
-    """What an episode asks of its traffic."""
-
-    def update(self, *, elapsed_s: float, host_changing_lane: bool) -> None:
-        """Let vehicles come and go, and have some of them change lanes."""
-
-
-class UserTraffic:
-    """The user's own vehicles, from route files; SUMO drives them and nothing is added."""
-
-    def update(self, *, elapsed_s: float, host_changing_lane: bool) -> None:
-        """Leave the traffic to itself."""
 
 
 class MovingWindow:

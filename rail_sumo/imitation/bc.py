@@ -6,7 +6,7 @@ from torch.nn import functional
 
 from rail_sumo import config
 from rail_sumo.imitation.demonstrations import Demonstrations
-from rail_sumo.imitation.perceptron import flatten, perceptron, single_threaded
+from rail_sumo.imitation.perceptron import flatten, linear, perceptron, single_threaded
 from rail_sumo.policy import N_ACTIONS, Shape, Whitening
 from rail_sumo.records import Floats
 
@@ -40,8 +40,7 @@ def clone(
     network = perceptron([shape.n_features, *hidden, N_ACTIONS], rng)
     adam = torch.optim.Adam(network.parameters(), lr=cloning.learning_rate, weight_decay=cloning.weight_decay)
 
-    whitened = (demonstrations.observations - whitening.mean) / whitening.std
-    observations = torch.from_numpy(whitened.astype(np.float32))
+    observations = torch.from_numpy(whitening(demonstrations.observations).astype(np.float32))
     actions = torch.from_numpy(demonstrations.actions)
     for _ in range(cloning.epochs):
         order = torch.from_numpy(rng.permutation(len(actions)))
@@ -50,4 +49,4 @@ def clone(
             adam.zero_grad()
             loss.backward()
             adam.step()
-    return flatten(layer for layer in network if isinstance(layer, torch.nn.Linear))
+    return flatten(linear(network))

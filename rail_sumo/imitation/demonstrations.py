@@ -136,9 +136,9 @@ class Demonstrations:
         _check_layout(path, table.column_names, features)
         observations = np.column_stack([_numbers(path, table, name) for name in features])
         actions = _integers(path, table, ACTION)
-        if not np.isin(actions, range(N_ACTIONS)).all():
-            stray = actions[~np.isin(actions, range(N_ACTIONS))][0]
-            raise InputError(f"{_named(path)} have an action {stray}; actions are 0..{N_ACTIONS - 1}; {_AGAIN}")
+        stray = actions[(actions < 0) | (actions >= N_ACTIONS)]
+        if len(stray):
+            raise InputError(f"{_named(path)} have an action {stray[0]}; actions are 0..{N_ACTIONS - 1}; {_AGAIN}")
         return cls(observations, actions, _integers(path, table, EPISODE))
 
 

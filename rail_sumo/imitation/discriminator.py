@@ -40,26 +40,18 @@ class Judge:
     """D(observation, action) in (0, 1), the expert's label at 1.
 
     Args:
-        n_features: length of an observation.
         whitening: observations are centred and scaled by it before they are judged.
         settings: network, training and reward.
         seed: of the first weights; all other chance is handed to `fit`.
         horizon_decisions: decisions in a rollout that nothing cuts short; see `returns`.
-
-    Raises:
-        ValueError: whitening does not fit n_features.
     """
 
-    def __init__(
-        self, n_features: int, whitening: Whitening, settings: config.Judge, seed: int, horizon_decisions: int
-    ) -> None:
-        if whitening.mean.shape != (n_features,):
-            raise ValueError(f"whitening must have shape ({n_features},); got {whitening.mean.shape}")
+    def __init__(self, whitening: Whitening, settings: config.Judge, seed: int, horizon_decisions: int) -> None:
         rng = np.random.default_rng(np.random.SeedSequence(seed, spawn_key=tuple(b"judge")))
         self._whitening = whitening
         self._settings = settings
         self._horizon_decisions = horizon_decisions
-        self._logit = perceptron([n_features + N_ACTIONS, *settings.hidden, 1], rng)
+        self._logit = perceptron([len(whitening.mean) + N_ACTIONS, *settings.hidden, 1], rng)
         self._adam = torch.optim.Adam(self._logit.parameters(), lr=settings.learning_rate)
 
     @single_threaded()
@@ -132,8 +124,8 @@ class Judge:
 
     def _pairs(self, observations: Floats, actions: NDArray[np.int64]) -> Tensor:
         """Return the network's inputs, shape (n, n_features + 5): whitened observation, one-hot action."""
-        whitened = (observations - self._whitening.mean) / self._whitening.std
-        return torch.from_numpy(np.hstack([whitened, np.eye(N_ACTIONS)[actions]]).astype(np.float32))
+        pairs = np.hstack([self._whitening(observations), np.eye(N_ACTIONS)[actions]])
+        return torch.from_numpy(pairs.astype(np.float32))
 
     def _judge(self, pairs: Tensor) -> Tensor:
         return torch.sigmoid(self._logit(pairs)[:, 0])

@@ -22,7 +22,7 @@ from rail_sumo import config
 from rail_sumo.errors import InputError
 from rail_sumo.imitation.demonstrations import Demonstrations
 from rail_sumo.imitation.discriminator import JudgeLoss
-from rail_sumo.imitation.perceptron import flatten, load_training_state, seeded, single_threaded, training_state
+from rail_sumo.imitation.perceptron import actor, flatten, load_training_state, seeded, single_threaded, training_state
 from rail_sumo.policy import N_ACTIONS, Shape, Whitening, unflatten
 from rail_sumo.records import Floats, Trajectory
 
@@ -190,14 +190,11 @@ class Ppo:
         load_training_state(self._ppo.policy, self._ppo.policy.optimizer, state)
 
     def _actor(self) -> list[torch.nn.Linear]:
-        policy = self._ppo.policy
-        modules = [*policy.mlp_extractor.policy_net, policy.action_net]
-        return [module for module in modules if isinstance(module, torch.nn.Linear)]
+        return actor(self._ppo.policy)
 
     def _valued(self, trajectory: Trajectory, rewards: Callable[[Floats, NDArray[np.int64]], Floats]) -> _Columns:
         """Return the buffer's columns of a rollout: observation, action, reward, start, value, log-probability."""
-        whitened = (trajectory.observations - self._whitening.mean) / self._whitening.std
-        observations = torch.from_numpy(whitened.astype(np.float32))
+        observations = torch.from_numpy(self._whitening(trajectory.observations).astype(np.float32))
         with torch.no_grad():
             values, log_probs, _ = self._ppo.policy.evaluate_actions(observations, torch.from_numpy(trajectory.actions))
         earned = rewards(trajectory.observations, trajectory.carried_out)

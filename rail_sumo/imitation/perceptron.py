@@ -24,6 +24,16 @@ def perceptron(sizes: Sequence[int], rng: np.random.Generator) -> nn.Sequential:
     return nn.Sequential(*layers[:-1])
 
 
+def linear(modules: Iterable[nn.Module]) -> list[nn.Linear]:
+    """Return the layers that have weights."""
+    return [module for module in modules if isinstance(module, nn.Linear)]
+
+
+def actor(policy: Any) -> list[nn.Linear]:
+    """Return the layers of a stable-baselines3 policy from observation to action."""
+    return linear([*policy.mlp_extractor.policy_net, policy.action_net])
+
+
 def flatten(layers: Iterable[nn.Linear]) -> Floats:
     """Return weights as `policy.unflatten` splits them: each layer's matrix with its bias as last column."""
     matrices = [torch.column_stack([layer.weight, layer.bias]) for layer in layers]

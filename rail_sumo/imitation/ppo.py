@@ -13,7 +13,7 @@ from stable_baselines3.common.callbacks import BaseCallback
 from rail_sumo.config import Config
 from rail_sumo.highway.env import HighwayEnv
 from rail_sumo.highway.observation import feature_names
-from rail_sumo.imitation.perceptron import generators_put_back, single_threaded
+from rail_sumo.imitation.perceptron import actor, generators_put_back, single_threaded
 from rail_sumo.records import Floats
 
 REWARD_SCALE = 0.1
@@ -60,12 +60,10 @@ class _Progress(BaseCallback):
         return True
 
 
-def scale_of(config: Config, n_features: int) -> Floats:
+def scale_of(config: Config) -> Floats:
     """Return what an observation is divided by: the range for distances, 10 m/s for the rest."""
-    frame = n_features // config.observation.frames
-    one = np.full(frame, 10.0)
-    one[: config.lidar.n_rays] = config.lidar.max_range_m
-    return np.tile(one, config.observation.frames)
+    names = feature_names(config.lidar, config.observation)
+    return np.where([name.startswith("distance") for name in names], config.lidar.max_range_m, 10.0)
 
 
 @single_threaded()
@@ -86,7 +84,7 @@ def train(
     """
     expert = config.expert
     world = config.practice(expert.horizon_s)
-    scale = scale_of(config, len(feature_names(config.lidar, config.observation)))
+    scale = scale_of(config)
     env = ScaledHighway(world, scale, traffic_seeds)
     try:
         model = MaskablePPO(
@@ -111,8 +109,9 @@ def train(
 
 def _layers(model: MaskablePPO, scale: Floats) -> Layers:
     """Read the policy's network out, the observation's scale folded into its first layer."""
-    modules = [*model.policy.mlp_extractor.policy_net, model.policy.action_net]
-    linear = [module for module in modules if isinstance(module, torch.nn.Linear)]
-    layers = [(m.weight.detach().double().numpy().copy(), m.bias.detach().double().numpy().copy()) for m in linear]
+    layers = [
+        (layer.weight.detach().double().numpy().copy(), layer.bias.detach().double().numpy().copy())
+        for layer in actor(model.policy)
+    ]
     layers[0] = (layers[0][0] / scale, layers[0][1])
     return layers
