@@ -1,6 +1,5 @@
 """Every knob: TOML into frozen, typed models that refuse what they don't know."""
 
-import difflib
 import json
 import math
 import textwrap
@@ -12,7 +11,7 @@ from typing import Annotated, Any, Literal
 import tomli_w
 from pydantic import BaseModel, ConfigDict, Field, ValidationError, model_validator
 
-from rail_sumo.errors import InputError
+from rail_sumo.errors import InputError, did_you_mean
 from rail_sumo.records import SECONDS_PER_STEP
 
 Positive = Annotated[float, Field(gt=0.0, allow_inf_nan=False)]
@@ -475,15 +474,10 @@ def _explain(error: ValidationError) -> str:
 
 
 def _suggest(location: tuple[int | str, ...]) -> str:
-    if len(location) == 2 and location[0] in Config.model_fields:
-        section = Config.model_fields[str(location[0])].annotation
-        assert section is not None
-        allowed = [f"{location[0]}.{key}" for key in section.model_fields]
-    else:
-        allowed = list(Config.model_fields) if len(location) == 1 else []
-    near = difflib.get_close_matches(".".join(map(str, location)), allowed + list(_keys()), n=1)
-    question = f"; did you mean '{near[0]}'?" if near else ""
-    return f"{question} (available: {', '.join(allowed)})" if allowed else question
+    allowed = list(Config.model_fields)
+    if len(location) == 2:
+        allowed = [key for key in _keys() if key.startswith(f"{location[0]}.")]
+    return did_you_mean(".".join(map(str, location)), allowed, also=_keys())
 
 
 def _keys() -> Iterator[str]:

@@ -15,13 +15,13 @@ class ObservationError(InputError):
     """A driver is to drive on another observation than it was trained on."""
 
 
-def did_you_mean(given: str, available: Iterable[str]) -> str:
+def did_you_mean(given: str, available: Iterable[str], *, also: Iterable[str] = ()) -> str:
     """Return `"; did you mean 'x'? (available: ...)"` for an unknown name; without a near name, only the list.
 
-    Of a long list only the beginning is told.
+    Of a long list only the beginning is told. What is meant may `also` be something that is not listed.
     """
     names = sorted(available)
-    near = difflib.get_close_matches(given, names, n=1)
+    near = difflib.get_close_matches(given, [*names, *also], n=1)
     question = f"; did you mean '{near[0]}'?" if near else ""
     listed = names if len(names) <= LISTED else [*names[:LISTED], f"and {len(names) - LISTED} more"]
     return f"{question} (available: {', '.join(listed)})"

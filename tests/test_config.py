@@ -177,10 +177,10 @@ def line(message):
 
 
 SECTIONS = (
-    "network, episode, traffic, lidar, observation, adas, policy, cloning, search, judge, "
-    "rail, gail, dagger, ars, train, expert"
+    "adas, ars, cloning, dagger, episode, expert, gail, judge, lidar, network, observation, policy, rail, search, "
+    "traffic, train"
 )
-POLICY_KEYS = "policy.layers, policy.hidden"
+POLICY_KEYS = "policy.hidden, policy.layers"
 
 
 @pytest.mark.parametrize(
