@@ -16,7 +16,8 @@ TRAFFIC_ELEMENTS = ("vehicle", "flow", "trip")
 ADDITIONAL = frozenset({
     "busStop", "trainStop", "containerStop", "chargingStation", "parkingArea", "rerouter", "variableSpeedSign",
     "calibrator", "vaporizer", "tlLogic", "inductionLoop", "e1Detector", "laneAreaDetector", "e2Detector",
-    "entryExitDetector", "e3Detector", "routeProbe", "edgeData", "laneData", "poly", "poi",
+    "entryExitDetector", "e3Detector", "instantInductionLoop", "routeProbe", "edgeData", "laneData", "poly", "poi",
+    "timedEvent", "WAUT",
 })  # fmt: skip
 """Elements that SUMO passes over in route files, and reads from additional files."""
 
