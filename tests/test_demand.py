@@ -33,6 +33,8 @@ def test_broken_or_missing_demand_is_refused(tmp_path):
         demand.check(["higway5"])
     with pytest.raises(InputError, match="is not a complete XML file: no element found"):
         demand.check([written(tmp_path, '<routes><vehicle id="0"/>')])
+    with pytest.raises(InputError, match="is not a complete XML file: multi-byte encodings are not supported"):
+        demand.check([written(tmp_path, '<?xml version="1.0" encoding="GBK"?><routes/>')])
 
 
 def test_additional_files_are_read_too_and_refused_in_the_place_of_routes(tmp_path):

@@ -8,7 +8,7 @@ from pathlib import Path
 
 from rail_sumo import assets
 from rail_sumo.errors import InputError
-from rail_sumo.highway.sumo_xml import UNREADABLE, opened, seconds, state_of
+from rail_sumo.highway.sumo_xml import UNKNOWN_ENCODING, UNREADABLE, opened, seconds, state_of
 
 TRAFFIC_ELEMENTS = ("vehicle", "flow", "trip")
 """Elements that put somebody on the road."""
@@ -125,7 +125,7 @@ def _content(path: Path, state: tuple[int, int]) -> _Content:
                         out_of_order.append(name)
                     latest_s = max(latest_s, departs_s)
                 element.clear()
-    except UNREADABLE as error:
+    except (*UNREADABLE, *UNKNOWN_ENCODING) as error:
         raise InputError(f"'{path}' is not a complete XML file: {error}") from None
     return _Content(frozenset(elements), tuple(taken), tuple(out_of_order), tuple(includes), tuple(outputs))
 

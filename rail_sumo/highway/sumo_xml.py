@@ -7,11 +7,10 @@ import zlib
 from io import BufferedIOBase
 from pathlib import Path
 
-UNREADABLE = (
-    *(xml.sax.SAXParseException, ElementTree.ParseError, zlib.error, EOFError, OSError),
-    *(LookupError, ValueError),  # of encodings that the parser does not know
-)
+UNREADABLE = (xml.sax.SAXParseException, ElementTree.ParseError, zlib.error, EOFError, OSError)
 """What reading a file raises that is damaged, or no XML."""
+UNKNOWN_ENCODING = (LookupError, ValueError)
+"""What ElementTree raises at an encoding that it does not know."""
 
 _SIZES_S = (1.0, 60.0, 3600.0, 86400.0)
 

@@ -6,7 +6,7 @@ from pathlib import Path
 from typing import Any
 
 from rail_sumo.errors import InputError
-from rail_sumo.highway.sumo_xml import UNREADABLE, opened, seconds
+from rail_sumo.highway.sumo_xml import UNKNOWN_ENCODING, UNREADABLE, opened, seconds
 
 SUFFIX = ".sumocfg"
 
@@ -31,7 +31,7 @@ def read(path: Path) -> tuple[dict[str, Any], list[str]]:
     try:
         with opened(path) as stream:
             given = dict(_options(ElementTree.parse(stream).getroot()))
-    except UNREADABLE as error:
+    except (*UNREADABLE, *UNKNOWN_ENCODING) as error:
         raise InputError(f"cannot read '{path}': {getattr(error, 'strerror', None) or error}") from None
     options = {_NAMES[name]: value for name, value in given.items() if name in _NAMES}
     if "net-file" not in options:
