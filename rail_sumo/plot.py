@@ -101,7 +101,8 @@ def against_trajectories(trajectories: Sequence[int], curves: Mapping[str, Float
         axes.plot(places, ratio, _STYLES[at], marker=_MARKERS[at], color=colour, label=name)
         axes.fill_between(places, low, high, color=colour, alpha=0.15, linewidth=0.0)
     axes.axhline(1.0, color="0.4", linewidth=0.8, zorder=0)
-    axes.annotate("expert", (0.0, 1.0), (2, 2), textcoords="offset points", color="0.4", fontsize="small")
+    beside = axes.get_yaxis_transform()  # no curve comes there
+    axes.text(1.01, 1.0, "expert", transform=beside, verticalalignment="center", color="0.4", fontsize="small")
     axes.set_xticks(places, [str(n) for n in trajectories])
     axes.set_xlabel("demonstrated trajectories")
     axes.set_ylabel(f"{what}, of the expert's")
