@@ -212,10 +212,9 @@ def _floating_car_data(folder: Path, world: Config, **part: str | int) -> tuple[
 
 def _require_whole(folder: Path) -> None:
     """Raise InputError if a part is not whole, which SUMO does not tell."""
-    for part in sorted(folder.rglob(f"*{PART}")):  # SUMO may have put a prefix before it
+    for part in sorted(folder.rglob(PART)):
         try:
             pq.read_metadata(part)
-            part.replace(part.with_name(PART))
         except (OSError, pa.ArrowException):
             raise InputError(
                 f"SUMO could not write its floating-car data whole ('{part}'); is the disk full?"

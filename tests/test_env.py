@@ -379,6 +379,28 @@ def test_what_detectors_report_replaces_nothing_and_is_not_kept(make, tmp_path):
     assert (tmp_path / "sub" / "e1.xml").read_text() == "mine, of last week"
 
 
+def test_a_report_that_is_asked_for_is_called_as_asked_beside_detectors_too(make, tmp_path):
+    detector = '<e1Detector id="d" lane="highway_0" pos="500" period="5" file="e1.xml"/>'
+    (tmp_path / "d.add.xml").write_text(f"<additional>{detector}</additional>")
+    asked = ("--tripinfo-output", str(tmp_path / "trips.xml"), "--tripinfo-output.write-unfinished", "true")
+    env = HighwayEnv(world(traffic=EMPTY | {"additional": [str(tmp_path / "d.add.xml")]}), outputs=asked)
+    env.reset(seed=UNSEEN)
+    env.step(0)
+    env.close()
+    assert sorted(path.name for path in tmp_path.iterdir()) == ["d.add.xml", "trips.xml"]
+    assert HOST in (tmp_path / "trips.xml").read_text()
+
+
+def test_beside_a_users_own_traffic_nobody_is_added(make, tmp_path):
+    mine = '<vehicle id="mine" depart="0" departPos="400"><route edges="highway"/></vehicle>'
+    (tmp_path / "mine.rou.xml").write_text(f"<routes>{mine}</routes>")
+    env = make(world(traffic={"routes": (str(tmp_path / "mine.rou.xml"),), "warm_up_s": 1.0}))
+    env.reset(seed=UNSEEN)
+    for _ in range(30):
+        env.step(0)
+        assert set(libsumo.vehicle.getIDList()) == {HOST, "mine"}
+
+
 def test_without_a_demand_too_the_clock_begins_when_it_is_told_to(make):
     env = make(world(traffic={"begin_s": 25200.0}))
     env.reset(seed=UNSEEN)

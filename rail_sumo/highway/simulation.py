@@ -107,6 +107,7 @@ class Simulation:
         self._held: dict[str, int] = {}  # who may not change lanes now, with the lane-change mode to give back
         self._prefix = f"{OURS}{os.getpid()}_"
         self._written = folders_written(additional)
+        self._outputs = outputs
         self.collisions = 0
         self.struck = 0
         self.min_ttc_s = math.inf
@@ -141,6 +142,10 @@ class Simulation:
         if self._is_open:
             libsumo.close()
             Simulation._running = self._is_open = False
+            for asked in map(Path, filter(None, self._outputs)):
+                written = asked.with_name(f"{self._prefix}{asked.name}")
+                if written.exists():
+                    written.replace(asked)
             for folder in self._written:
                 for report in folder.glob(f"{self._prefix}*"):
                     report.unlink(missing_ok=True)
