@@ -121,3 +121,12 @@ def test_learners_are_set_beside_one_another_on_the_same_traffic():
 def test_what_lane_changes_cost_and_how_many_are_taken_back():
     found = claims.lane_changing(cells(rail_2=72.0)).loc[("rail", 2)]
     assert found.tolist() == [0.25, -10.0, 0, 4]
+
+
+def test_a_variant_is_set_beside_the_first_one_seed_by_seed():
+    index = pd.MultiIndex.from_product([[0, 1], ["as it is", "blind"]], names=["seed", "variant"]).swaplevel()
+    ratios = pd.DataFrame({"speed_kmh": [0.9, 0.8, 1.1, 1.0]}, index)
+    found = sensing.added(ratios)
+    assert found["speed_kmh"].to_dict() == pytest.approx({("blind", 0): -0.1, ("blind", 1): -0.1})
+    assert sensing.with_interval(ratios.xs("blind", level="variant")["speed_kmh"]) == "0.900 +- 1.271"  # 12.7 x 0.1
+    assert sensing.with_interval(found["speed_kmh"]) == "-0.100 +- 0.000"
