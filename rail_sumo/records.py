@@ -65,6 +65,8 @@ class HostState:
     """The speed limit here."""
     limits_ahead: tuple[tuple[float, float], ...] = ()
     """Metres beyond the edge's end, and the speed limit from there on."""
+    stops_ahead: tuple[float, ...] = ()
+    """Metres to where the host must stand: at signals."""
 
     def ends_in_m(self, lane: int) -> float:
         """Return how far ahead of the host a lane stops leading on along the course."""

@@ -230,6 +230,37 @@ def test_that_it_will_be_faster_by_then_counts_too(adas):
     assert adas.command(at(to_edge_end_m=braking_m + 17.0, **near), free, steps=10).steps == 10
 
 
+def test_for_a_stop_it_brakes_comfortably_while_it_can():
+    """From 60 km/h: 69.4 m at 2 m/s²."""
+    stopping_m = (60 / KMH) ** 2 / 4.0
+    one_step_m = 6 / KMH
+    here = {"speed_mps": 60 / KMH, "to_edge_end_m": 500.0}
+    assert adas_at(here, stops_ahead=(stopping_m + one_step_m + 0.1,)) == 60 / KMH
+    assert 60 / KMH - 0.2 < adas_at(here, stops_ahead=(200.0, stopping_m + one_step_m - 0.1)) < 60 / KMH
+
+
+@pytest.mark.parametrize(("ahead_m", "braking_mps2"), [(50.0, 4.0), (25.0, 8.0), (20.0, 9.0), (0.0, 9.0), (-1.0, 9.0)])
+def test_for_a_stop_it_brakes_as_hard_as_it_takes_and_may(ahead_m, braking_mps2):
+    """From 20 m/s it takes 400 / (2 * 50) = 4 m/s² to stop within 50 m."""
+    here = {"speed_mps": 20.0, "to_edge_end_m": 500.0}
+    assert adas_at(here, stops_ahead=(ahead_m,)) == pytest.approx(20.0 - 0.1 * braking_mps2)
+
+
+def test_braking_for_a_stop_is_even():
+    """Step by step: 16.67 m/s, 50 m ahead, 2.78 m/s² to the end."""
+    speed, ahead_m, braking = 60 / KMH, 50.0, []
+    while speed > 3.0:
+        slower = adas_at({"speed_mps": speed, "to_edge_end_m": 500.0}, stops_ahead=(ahead_m,))
+        braking.append((speed - slower) * 10)
+        speed, ahead_m = slower, ahead_m - 0.1 * slower
+    assert len(braking) > 40
+    assert braking == pytest.approx([(60 / KMH) ** 2 / 100.0] * len(braking), rel=0.08)
+
+
+def adas_at(here, **changes):
+    return Adas(config.Adas()).command(at(**here, **changes), free, steps=1).speed_mps
+
+
 def test_sumos_own_driver_decides_its_speed_but_for_limits():
     adas = HandsOff(config.Adas())
     assert adas.command(at(speed_mps=20.0), free, steps=10).speed_mps == SUMO_DECIDES

@@ -1,4 +1,4 @@
-"""Speed limits and signals are kept, and braked for comfortably."""
+"""Speed limits, signals and right of way are kept, and braked for comfortably."""
 
 import re
 from pathlib import Path
@@ -207,3 +207,47 @@ def test_a_variable_speed_sign_holds_from_its_moment_on_and_is_braked_for_comfor
     assert speeds_kmh.max() == pytest.approx(80.0)
     assert speeds_kmh[-1] == pytest.approx(50.0, abs=0.1)
     assert np.diff(driven.speed_mps).min() >= -0.2 - 1e-6
+
+
+@pytest.fixture
+def crossing(tmp_path):
+    """A world where others come first 592.8 m from the course's start, by a sign to give way (m) or to stop (s)."""
+
+    def write(state, *cars):
+        path, demand = tmp_path / "crossing.net.xml", tmp_path / "crossing.rou.xml"
+        text = Path(__file__).with_name("crossing.net.xml").read_text()
+        path.write_text(text.replace('state="m"', f'state="{state}"'))
+        demand.write_text(f"<routes>{''.join(cars)}</routes>")
+        traffic = {"routes": [str(demand)], "warm_up_s": 0.0} if cars else EMPTY
+        return world(network={"file": str(path)}, traffic=traffic, episode={"duration_s": 150.0})
+
+    return write
+
+
+@pytest.mark.parametrize("hands_off", [False, True])
+@pytest.mark.parametrize(("state", "slowest_mps"), [("m", 6.36), ("s", 0.0)])
+def test_where_others_come_first_the_host_slows_down_comfortably_as_far_as_it_must(
+    make, watched, crossing, hands_off, state, slowest_mps
+):
+    driven = drive(make(crossing(state), hands_off=hands_off), always(ACCELERATE), UNSEEN)
+    fronts = np.array([scene.y_m[0] + 0.5 * scene.length_m[0] for scene in watched().scenes]) + 7.2  # from the line
+    speeds = driven.speed_mps[1:]
+    assert speeds[fronts < -130.0][-1] * KMH == pytest.approx(79.99, abs=0.01)  # from 80 km/h it takes 126 m
+    assert speeds.min() == pytest.approx(slowest_mps, abs=0.05)
+    assert -5.0 < fronts[speeds.argmin()] < 0.1
+    assert np.diff(driven.speed_mps).min() >= -0.4 - 1e-6  # the last 0.4 m/s before a stop within a step
+    assert np.diff(driven.speed_mps)[fronts < -2.5].min() >= -0.2 - 1e-6
+    assert fronts[-1] > 100.0
+
+
+@pytest.mark.parametrize("state", ["m", "s"])
+def test_the_host_waits_for_who_comes_first_and_brakes_comfortably_until_it_sees_them(make, watched, crossing, state):
+    flow = '<flow id="across" begin="0" end="80" period="1.5" departSpeed="max"><route edges="in out"/></flow>'
+    for seed in range(3):
+        driven = drive(make(crossing(state, flow)), at_random(seed), UNSEEN + seed)
+        fronts = np.array([scene.y_m[0] + 0.5 * scene.length_m[0] for scene in watched().scenes]) + 7.2
+        times = np.array([scene.time_s for scene in watched().scenes])
+        assert not watched().contact
+        assert -2.6 < fronts[times < 80.0].max() < 0.1
+        assert np.diff(driven.speed_mps)[fronts < -4.5].min() >= -0.2 - 1e-6
+        assert fronts[-1] > 50.0

@@ -196,20 +196,29 @@ def _comfortable(host: HostState, config: config.Adas) -> float:
 
 
 def _within_limits(speed_mps: float, host: HostState, config: config.Adas, *, steps: int) -> float:
-    """Return a speed, lowered as far as it must so that in so many steps the host keeps to every limit.
+    """Return a speed, lowered as far as it must so that in so many steps the host keeps to every limit and stop.
 
-    A limit ahead allows sqrt(v^2 + 2 b s) at the distance s before it. Where it is too late for that, the host brakes
-    comfortably all the same.
+    It brakes comfortably. Where it is too late for that, it exceeds a limit for a while, but for a stop brakes as hard
+    as it takes.
     """
-    to_end = host.to_edge_end_m - max(host.speed_mps, speed_mps) * steps * SECONDS_PER_STEP
-    lowest = min(
-        (
-            math.sqrt(limit**2 + 2 * config.comfort_braking_mps2 * max(to_end + beyond_m, 0.0))
-            for beyond_m, limit in host.limits_ahead
-        ),
-        default=math.inf,
-    )
-    return min(speed_mps, max(min(lowest, host.limit_mps), _comfortable(host, config)))
+    comfort, hardest = config.comfort_braking_mps2, config.emergency_braking_mps2
+    travel_m = max(host.speed_mps, speed_mps) * steps * SECONDS_PER_STEP
+    allowed = [speed_mps, max(host.limit_mps, _comfortable(host, config))]
+    for beyond_m, limit in host.limits_ahead:
+        allowed.append(_approaching(limit, host, host.to_edge_end_m + beyond_m, travel_m, comfort))
+    for ahead_m in host.stops_ahead:
+        it_takes = host.speed_mps**2 / (2 * ahead_m) if ahead_m > 0.0 else math.inf
+        allowed.append(_approaching(0.0, host, ahead_m, travel_m, min(max(it_takes, comfort), hardest)))
+    return min(allowed)
+
+
+def _approaching(limit_mps: float, host: HostState, ahead_m: float, travel_m: float, braking_mps2: float) -> float:
+    """Return the highest speed, some metres from here, that a limit ahead allows: sqrt(v^2 + 2 b s).
+
+    It is no lower than such braking comes down to in one step.
+    """
+    allowed = math.sqrt(limit_mps**2 + 2 * braking_mps2 * max(ahead_m - travel_m, 0.0))
+    return max(allowed, host.speed_mps - braking_mps2 * SECONDS_PER_STEP)
 
 
 def _across(host: HostState, side: Side) -> float:

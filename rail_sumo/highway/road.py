@@ -30,6 +30,9 @@ SHORT_EDGE_M = 42.0
 CHANGE_LEFT, CHANGE_RIGHT = "changeLeft", "changeRight"
 """The attributes of a lane that list who may change from it."""
 
+GIVE_WAY = frozenset("m=swo")
+"""SUMO's letters for ways without priority: minor, equal, with a stop, all with one, at a signal's permission."""
+
 FORESIGHT_M = 500.0
 """How far ahead a speed limit is known: from 160 km/h to nothing it takes 494 m at 2 m/s²."""
 
@@ -86,6 +89,8 @@ class Road:
     junctions_m: tuple[float, ...]
     """How long the way through the junction after each edge is; after a chain's last edge 0."""
     is_loop: bool
+    gives_way: bool
+    """Whether anybody else may come first where it leads through a junction, by signals or by right of way."""
     boundaries: Floats
     """(n_segments, 4): x1, y1, x2, y2 of the course's outer borders, in metres, read-only."""
 
@@ -181,6 +186,7 @@ def _load(path: Path, wanted: tuple[str, ...], state: tuple[int, int]) -> Road:
         ),
         junctions_m=junctions_m,
         is_loop=is_loop,
+        gives_way=any(c.getState() in GIVE_WAY for joint in joints for c in joint),
         boundaries=boundaries,
     )
 

@@ -12,8 +12,8 @@ from rail_sumo import config
 from rail_sumo.errors import InputError
 from rail_sumo.highway import sumo_errors
 from rail_sumo.highway.demand import HOST, OURS, folders_written
+from rail_sumo.highway.right_of_way import NOT_GREEN, GiveWay, Signal
 from rail_sumo.highway.road import Road
-from rail_sumo.highway.signals import Signal
 from rail_sumo.records import KMH, SECONDS_PER_STEP, Command, Gaps, HostState, Scene
 
 # Ids that no demand of a user's has; the types' are those of `TYPES`.
@@ -46,10 +46,8 @@ SEEDS = 2**31
 WAIT_S, GAP_WAIT_S = 120.0, 30.0
 """How long to wait for the host to enter, and of that for a gap that lets it do so at its starting speed."""
 LEADER_RANGE_M = 100.0
-STOP_SHORT_M = 2.5
-"""How far before a stop line the host stops. SUMO's own distance is 1 m, and it brakes for that harder at the end."""
 SLACK_M = 100.0
-"""Signals are heeded from this much farther away than the host needs to stop comfortably from its highest speed."""
+"""Junctions are heeded from this much farther away than the host needs to stop comfortably from its highest speed."""
 STOREY_M = 3.0
 """Vehicles farther above or below drive on another road, as on a bridge."""
 
@@ -129,6 +127,8 @@ class Simulation:
         )
         Simulation._running = self._is_open = True
         self._has_signals = bool(libsumo.trafficlight.getIDList())
+        self._gives_way = road.gives_way
+        self._meets_others = self._has_signals or self._gives_way
         self._equip_host()
 
     def __enter__(self) -> "Simulation":
@@ -310,15 +310,17 @@ class Simulation:
     def host(self) -> HostState:
         """Return where the host stands on its edge; off the course's lanes, as on a junction, none is beside it.
 
-        The limit is that of the lane it is on, as it is now; those ahead are the network's, and a red light's is 0.
+        The limit is that of the lane it is on, as it is now; those ahead are the network's, and what right of way asks.
         """
         vehicle = libsumo.vehicle
+        stops = tuple(signal.stop_m for signal in self._signals() if self._stops_at(signal))
+        careful = [give_way.limit for give_way in self._give_ways()]
         edge = self._edges.get(vehicle.getRoadID(HOST))
         speed, lane = vehicle.getSpeed(HOST), vehicle.getLaneIndex(HOST)
         limit = libsumo.lane.getMaxSpeed(vehicle.getLaneID(HOST))
         if edge is None or lane not in (lanes := edge.lanes):  # on a junction, or strayed
-            ahead = (*self._limits_beyond_this_lane(), *self._stops_ahead(0.0))
-            return HostState(speed, lane, lane, lane, 0.0, 0.0, 0.0, 0.0, (math.inf,), limit, ahead)
+            ahead = (*self._limits_beyond_this_lane(), *careful)
+            return HostState(speed, lane, lane, lane, 0.0, 0.0, 0.0, 0.0, (math.inf,), limit, ahead, stops)
         here = lane - edge.first_lane
         to_edge_end_m = edge.length_m - vehicle.getLanePosition(HOST)
         return HostState(
@@ -332,7 +334,8 @@ class Simulation:
             to_right_m=edge.to_right_m[here],
             leads_on_m=edge.leads_on_m,
             limit_mps=limit,
-            limits_ahead=(*edge.limits_ahead, *self._stops_ahead(to_edge_end_m)),
+            limits_ahead=(*edge.limits_ahead, *((metres - to_edge_end_m, limit) for metres, limit in careful)),
+            stops_ahead=stops,
         )
 
     def _limits_beyond_this_lane(self) -> tuple[tuple[float, float], ...]:
@@ -346,11 +349,6 @@ class Simulation:
         beyond = ((to_it_m + ahead.length_m + metres, limit) for metres, limit in ahead.limits_ahead)
         return (to_it_m, ahead.limit_mps), *beyond
 
-    def _stops_ahead(self, to_edge_end_m: float) -> tuple[tuple[float, float], ...]:
-        """Return signals that the host stops at as limits of 0: SUMO would brake for them as late as it can."""
-        stops = filter(self._stops_at, self._signals())
-        return tuple((signal.ahead_m - STOP_SHORT_M - to_edge_end_m, 0.0) for signal in stops)
-
     def _signals(self) -> list[Signal]:
         """Return the signals that the host may have to brake for by now, the nearest first."""
         if not self._has_signals:
@@ -358,6 +356,22 @@ class Simulation:
         now, next_switch = libsumo.simulation.getTime(), libsumo.trafficlight.getNextSwitch
         ahead = libsumo.vehicle.getNextTLS(HOST)
         return [Signal(m, state, next_switch(name) - now) for name, _, m, state in ahead if m < self._heeds_m]
+
+    def _give_ways(self) -> list[GiveWay]:
+        """Return the ways without priority that the host may have to brake for by now, the nearest first."""
+        if not self._gives_way:
+            return []
+        length_of, here, found = libsumo.lane.getLength, libsumo.vehicle.getLaneID(HOST), []
+        ahead_m = length_of(here) - libsumo.vehicle.getLanePosition(HOST)
+        for lane, has_priority, is_open, _, _, state, _, inside_m in libsumo.vehicle.getNextLinks(HOST):
+            if ahead_m > self._heeds_m:
+                break
+            is_entered = not here.startswith(":")  # or the host is on the junction, and leaves it
+            if is_entered and not has_priority and state not in NOT_GREEN:
+                found.append(GiveWay(ahead_m, is_open))
+            ahead_m += inside_m + length_of(lane)
+            here = lane
+        return found
 
     def _stops_at(self, signal: Signal) -> bool:
         return signal.stops(libsumo.vehicle.getSpeed(HOST), braking_mps2=self._adas.emergency_braking_mps2)
@@ -393,10 +407,11 @@ class Simulation:
     def run(self, command: Command) -> int:
         """Carry a command out and return the number of steps driven.
 
-        They are fewer than asked where the host collides, or signals ahead change or are yellow.
+        They are fewer than asked where the host collides, or signals ahead change or are yellow, or a way opens or
+        closes.
         """
         vehicle, signals = libsumo.vehicle, self._signals()
-        shown = [signal.state for signal in signals]
+        shown = self._shown()
         drives_on = any(not signal.is_green and not self._stops_at(signal) for signal in signals[:1])
         looks_again = drives_on or any(signal.is_yellow for signal in signals)
         if drives_on != self._drives_on:
@@ -414,9 +429,13 @@ class Simulation:
             self._step()
             if self.contact:
                 return driven
-            if self._has_signals and (looks_again or [signal.state for signal in self._signals()] != shown):
+            if self._meets_others and (looks_again or self._shown() != shown):
                 return driven
         return command.steps
+
+    def _shown(self) -> list[str | bool]:
+        """Return what signals on the host's way show, and which ways without priority are open."""
+        return [signal.state for signal in self._signals()] + [give_way.is_open for give_way in self._give_ways()]
 
     def _step(self) -> None:
         """Let SUMO go one step on, and note what became of the host."""

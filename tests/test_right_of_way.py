@@ -1,10 +1,12 @@
-"""Which signals the host stops at."""
+"""Which signals the host stops at, and how slow it is where others come first."""
+
+import math
 
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from rail_sumo.highway.signals import Signal
+from rail_sumo.highway.right_of_way import GiveWay, Signal
 
 STOPPING_M = 60.0 * 60.0 / 12.96 / 18.0  # from 60 km/h at 9 m/s²: 15.4 m
 
@@ -38,3 +40,9 @@ def test_the_host_stops_at_red_and_at_a_yellow_that_it_would_miss(state, ahead_m
 def test_whoever_stops_at_red_would_also_stop_from_a_lower_speed(state, ahead_m, one, other):
     signal = Signal(ahead_m, state, 60.0)
     assert signal.stops(min(one, other), braking_mps2=9.0) >= signal.stops(max(one, other), braking_mps2=9.0)
+
+
+def test_who_gives_way_is_slow_enough_to_see_or_stops_where_somebody_comes():
+    """4.5 m is what it takes to stop from 6.36 m/s at 4.5 m/s²."""
+    assert GiveWay(100.0, is_open=True).limit == (95.5, pytest.approx(math.sqrt(2 * 4.5 * 4.5), abs=0.01))
+    assert GiveWay(100.0, is_open=False).limit == (97.5, 0.4)
