@@ -247,7 +247,7 @@ def test_the_host_waits_for_who_comes_first_and_brakes_comfortably_until_it_sees
         driven = drive(make(crossing(state, flow)), at_random(seed), UNSEEN + seed)
         fronts = np.array([scene.y_m[0] + 0.5 * scene.length_m[0] for scene in watched().scenes]) + 7.2
         times = np.array([scene.time_s for scene in watched().scenes])
-        assert not watched().contact
+        assert not watched().host.contact
         assert -2.6 < fronts[times < 80.0].max() < 0.1
         assert np.diff(driven.speed_mps)[fronts < -4.5].min() >= -0.2 - 1e-6
         assert fronts[-1] > 50.0

@@ -47,6 +47,17 @@ def test_the_ring_runs_through_its_eight_edges_in_driving_order_and_closes():
     assert ring.is_loop
 
 
+@pytest.mark.parametrize("state", ["m", "=", "s", "w", "o"])
+def test_a_course_gives_way_where_a_connection_on_it_has_no_priority(tmp_path, state):
+    crossing = Path(__file__).with_name("crossing.net.xml")
+    path = tmp_path / "crossing.net.xml"
+    path.write_text(crossing.read_text().replace('state="m"', f'state="{state}"'))
+    assert road.load(str(path)).gives_way
+    path.write_text(crossing.read_text().replace('state="m"', 'state="M"'))
+    assert not road.load(str(path)).gives_way
+    assert not any(road.load(name).gives_way for name in ("highway5", "ring5"))
+
+
 def test_the_rings_guard_rails_are_two_closed_circles_eight_metres_beside_the_middle():
     ring = road.load("ring5")
     start, end = ring.boundaries[:, :2], ring.boundaries[:, 2:]

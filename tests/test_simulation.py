@@ -56,10 +56,10 @@ class Script:
         return scene
 
     def decide(self, action):
-        self.adas.decide(action, self.simulation.host(), self.simulation.gaps)
+        self.adas.decide(action, self.simulation.host.state(), self.simulation.host.gaps)
 
     def step(self):
-        command = self.adas.command(self.simulation.host(), self.simulation.gaps, steps=1)
+        command = self.adas.command(self.simulation.host.state(), self.simulation.host.gaps, steps=1)
         self.simulation.run(command)
         return self.simulation.scene()
 
@@ -68,7 +68,7 @@ class Script:
 
     @property
     def hardest_braking_mps2(self):
-        return -np.diff(self.simulation.speeds_mps).min() / STEP_S
+        return -np.diff(self.simulation.host.speeds_mps).min() / STEP_S
 
 
 @pytest.fixture
@@ -134,7 +134,7 @@ def test_on_the_ring_the_host_keeps_to_its_lanes_circle_and_looks_along_the_tang
 def test_the_host_stands_among_all_lanes_of_its_edge(script):
     drive = script(speed_mps=20.0)
     scene = drive.begin()
-    host = drive.simulation.host()
+    host = drive.simulation.host.state()
     assert (host.lane, host.rightmost_lane, host.leftmost_lane) == (HOST_LANE, 0, 4)
     assert host.lane_width_m == LANE_M
     assert host.to_edge_end_m == pytest.approx(8200.0 - (scene.x_m[0] + CAR_M / 2))
@@ -147,12 +147,12 @@ def test_gaps_are_from_bumper_to_bumper_on_every_side(script, side, lane):
     drive.add("lead", lane=lane, gap_m=45.0, speed_mps=18.0)
     drive.add("chaser", lane=lane, ahead_m=-70.0, speed_mps=21.0)
     scene = drive.begin()
-    gaps = drive.simulation.gaps(side)
+    gaps = drive.simulation.host.gaps(side)
     assert gaps.ahead_m == pytest.approx(gap_to(scene, "lead"), abs=1e-6)
     assert gaps.behind_m == pytest.approx(gap_to(scene, "chaser"), abs=1e-6)
     assert (gaps.ahead_speed_mps, gaps.behind_speed_mps) == pytest.approx((18.0, 21.0))
     for other in {0, 1, -1} - {side}:
-        empty = drive.simulation.gaps(other)
+        empty = drive.simulation.host.gaps(other)
         assert (empty.ahead_m, empty.behind_m) == (math.inf, math.inf)
 
 
@@ -162,7 +162,7 @@ def test_a_vehicle_alongside_makes_a_gap_negative(script, offset_m):
     drive.add("beside", lane=HOST_LANE + 1, ahead_m=offset_m, speed_mps=20.0)
     scene = drive.begin()
     assert abs(scene.x_m[1] - scene.x_m[0]) < CAR_M
-    gaps = drive.simulation.gaps(1)
+    gaps = drive.simulation.host.gaps(1)
     assert min(gaps.ahead_m, gaps.behind_m) < 0.0
 
 
@@ -174,7 +174,7 @@ def test_the_smallest_time_to_collision_is_gap_over_closing_speed(script):
     for scene in drive.steps(20.0):
         closing = scene.speed_mps[0] - scene.speed_mps[1]
         seen.append(gap_to(scene, "lead") / closing if closing > 1e-9 else math.inf)
-    assert drive.simulation.min_ttc_s == pytest.approx(min(seen), rel=1e-6)
+    assert drive.simulation.host.min_ttc_s == pytest.approx(min(seen), rel=1e-6)
     assert 0.0 < min(seen) < 9.0
 
 
@@ -182,7 +182,7 @@ def test_with_nobody_ahead_there_is_no_time_to_collision(script):
     drive = script(speed_mps=20.0)
     drive.begin()
     drive.steps(5.0)
-    assert drive.simulation.min_ttc_s == math.inf
+    assert drive.simulation.host.min_ttc_s == math.inf
 
 
 # One simulation a process.
@@ -244,7 +244,7 @@ def test_into_a_slow_queue_the_host_enters_slower_once_it_has_waited_for_a_gap(t
         simulation.add_host(["highway"], lane=1, front_m=10.0, speed_mps=20.0)
         simulation.wait_for_host()
         assert 90.0 < libsumo.simulation.getTime() < 180.0
-        assert 0.0 < simulation.speeds_mps[0] < 5.0
+        assert 0.0 < simulation.host.speeds_mps[0] < 5.0
         assert libsumo.vehicle.getMaxSpeed(HOST) == pytest.approx(EXPRESSWAY.max_speed_kmh / KMH)
 
 
@@ -264,7 +264,7 @@ def test_many_steps_in_one_command_are_as_many_single_ones(script):
         drive.begin()
         for command in commands:
             assert drive.simulation.run(command) == command.steps
-        return drive.simulation.speeds_mps, drive.simulation.scene().x_m.tolist(), drive.simulation.min_ttc_s
+        return drive.simulation.host.speeds_mps, drive.simulation.scene().x_m.tolist(), drive.simulation.host.min_ttc_s
 
     assert driven([Command(24.0, steps=50)]) == driven([Command(24.0)] * 50)
 
@@ -275,10 +275,10 @@ def test_five_kmh_more_or_less_take_seven_tenths_of_a_second_at_2_mps2(script, a
     drive.begin()
     drive.decide(action)
     drive.steps(1.0)
-    change = np.abs(np.diff(drive.simulation.speeds_mps))
+    change = np.abs(np.diff(drive.simulation.host.speeds_mps))
     # 5 km/h are 1.389 m/s: six steps of 0.2 m/s and the rest.
     assert change == pytest.approx([0.2] * 6 + [5 / KMH - 1.2] + [0.0] * 3, abs=1e-6)
-    assert drive.simulation.speeds_mps[-1] == pytest.approx(20.0 + sign * 5 / KMH)
+    assert drive.simulation.host.speeds_mps[-1] == pytest.approx(20.0 + sign * 5 / KMH)
 
 
 def test_behind_a_slower_car_the_host_settles_at_its_time_gap_and_standstill_gap(script):
@@ -333,7 +333,7 @@ def test_a_lead_vehicle_that_brakes_from_30_mps_is_not_touched(script, touching,
     assert (np.abs(lead_braking - braking_mps2) < 1e-6).sum() == full_steps  # it really brakes as hard as it should
     assert not any(touching(scene) for scene in scenes)
     assert drive.hardest_braking_mps2 <= 9.0 + 1e-6
-    assert not drive.simulation.contact
+    assert not drive.simulation.host.contact
     assert scenes[-1].speed_mps[0] == pytest.approx(until_mps, abs=0.05)
 
 
@@ -364,15 +364,15 @@ def test_no_cut_in_that_un_r157_wants_mastered_ends_in_contact(script, touching,
         drive, scenes = cut_in(script, host_mps=host_mps, gap_m=gap_m, slower_mps=slower_mps)
         assert not any(touching(scene) for scene in scenes), gap_m
         assert drive.hardest_braking_mps2 <= 9.0 + 1e-6, gap_m
-        assert not drive.simulation.contact, gap_m
+        assert not drive.simulation.host.contact, gap_m
 
 
 def test_a_cut_in_that_nobody_could_master_is_a_contact_in_which_the_host_strikes(script, touching):
     # 10 m/s faster over a gap of 3 m; braking at 9 m/s² takes 5.6 m. So the tests above can fail.
     drive, scenes = cut_in(script, host_mps=22.0, gap_m=3.0, slower_mps=10.0, seconds=1.5)
     assert any("intruder" in touching(scene) for scene in scenes)
-    assert drive.simulation.collisions >= 1
-    assert drive.simulation.struck == 0
+    assert drive.simulation.host.collisions >= 1
+    assert drive.simulation.host.struck == 0
     assert drive.hardest_braking_mps2 == pytest.approx(9.0, abs=1e-6)
 
 
@@ -383,8 +383,8 @@ def test_a_vehicle_that_runs_into_the_host_strikes_it(script, touching):
     libsumo.vehicle.setSpeed("chaser", 36.0)
     scenes = drive.steps(5.0)
     first = next(number for number, scene in enumerate(scenes) if touching(scene))
-    assert drive.simulation.collisions == 0
-    assert drive.simulation.struck >= 1
+    assert drive.simulation.host.collisions == 0
+    assert drive.simulation.host.struck >= 1
     assert gap_to(scenes[first - 1], "chaser") > 0.0
 
 
@@ -394,7 +394,7 @@ def test_a_run_ends_in_the_step_of_the_contact(script, touching):
     drive.begin()
     libsumo.vehicle.setSpeed("chaser", 36.0)
     driven = drive.simulation.run(Command(20.0, steps=100))
-    assert driven == len(drive.simulation.speeds_mps) - 1 < 100
+    assert driven == len(drive.simulation.host.speeds_mps) - 1 < 100
     assert touching(drive.simulation.scene()) == ["chaser"]
     assert gap_to(drive.simulation.scene(), "chaser") > -1.7  # at 16 m/s faster, one step's travel
 
@@ -445,7 +445,7 @@ def test_a_lane_change_in_sumo_follows_its_path_and_ends_in_the_next_lane(script
     made = change(script, action)
     path = side * np.array(made.left_m)
     assert path == pytest.approx(np.minimum(0.17 * np.arange(41), LANE_M), abs=1e-6)
-    assert made.drive.simulation.host().lane == HOST_LANE + side
+    assert made.drive.simulation.host.state().lane == HOST_LANE + side
     assert not any(touching(scene) for scene in made.scenes)
     assert (made.drive.adas.lane_changes, made.drive.adas.aborted_lane_changes) == (1, 0)
 
@@ -458,7 +458,7 @@ def test_a_reversed_lane_change_in_sumo_returns_to_the_lane_centre(script, touch
     there = math.ceil(part * LANE_M / 0.17)
     back = np.maximum(0.0, 0.17 * (2 * there - np.arange(41)))
     assert path == pytest.approx(np.minimum(0.17 * np.arange(41), back), abs=1e-6)
-    assert made.drive.simulation.host().lane == HOST_LANE
+    assert made.drive.simulation.host.state().lane == HOST_LANE
     assert not any(touching(scene) for scene in made.scenes)
     assert (made.drive.adas.lane_changes, made.drive.adas.aborted_lane_changes) == (0, 1)
     assert made.drive.hardest_braking_mps2 <= 9.0 + 1e-6

@@ -131,7 +131,7 @@ def test_whoever_leaves_the_window_is_replaced_ahead_if_slower_and_behind_if_fas
         assert max(ahead.values()) < 250.0 + reach_m
         assert min(ahead.values()) > -150.0 - reach_m
         for name in set(ahead) - known:
-            is_slower = begun.desired_kmh(name) / KMH < begun.simulation.speeds_mps[-2]
+            is_slower = begun.desired_kmh(name) / KMH < begun.simulation.host.speeds_mps[-2]
             assert ahead[name] == pytest.approx(249.0 if is_slower else -149.0, abs=4.0)
             appeared += 1
         known |= set(ahead)

@@ -129,7 +129,7 @@ class HighwayEnv(gymnasium.Env[Floats, np.int64]):
             )
         simulation.wait_for_host()
         if self._hands_off:
-            simulation.hand_over()
+            simulation.host.hand_over()
 
     def step(self, action: int | np.int64) -> tuple[Floats, float, bool, bool, dict[str, Any]]:
         """Take one decision and drive until the next falls due.
@@ -140,7 +140,7 @@ class HighwayEnv(gymnasium.Env[Floats, np.int64]):
         before = (self._overtakes, self._overtaken, self._adas.refused_decisions)
         observation, driven = self.drive(int(action))
         earned = reward(
-            np.array(simulation.speeds_mps[-driven:]),
+            np.array(simulation.host.speeds_mps[-driven:]),
             np.array(self._lane_changing[-driven:]),
             self.config.adas,
             overtakes=self._overtakes - before[0],
@@ -165,19 +165,19 @@ class HighwayEnv(gymnasium.Env[Floats, np.int64]):
         decided = MetaAction(action)
         self._observations.append(self._observation)
         self._actions.append(decided)
-        host = simulation.host()
-        self._carried_out.append(adas.decide(decided, host, simulation.gaps))
+        host = simulation.host.state()
+        self._carried_out.append(adas.decide(decided, host, simulation.host.gaps))
         driven = 0
         while True:
             was_changing = adas.changing_lane
-            command = adas.command(host, simulation.gaps, steps=due - driven)
+            command = adas.command(host, simulation.host.gaps, steps=due - driven)
             steps = simulation.run(command)
             driven += steps
             self._lane_changing += [was_changing] * steps
             ended_change = was_changing and not adas.changing_lane
-            if driven >= due or ended_change or simulation.contact:
+            if driven >= due or ended_change or simulation.host.contact:
                 break
-            host = simulation.host()
+            host = simulation.host.state()
         return self._look(driven), driven
 
     def _under_way(self) -> Simulation:
@@ -220,7 +220,7 @@ class HighwayEnv(gymnasium.Env[Floats, np.int64]):
 
     def _why_over(self) -> EndReason | None:
         assert self._simulation is not None
-        if self._simulation.contact:
+        if self._simulation.host.contact:
             return "collision"
         travelled_m = self._simulation.travelled_m(HOST)
         if travelled_m >= self.config.episode.course_m:
@@ -229,7 +229,7 @@ class HighwayEnv(gymnasium.Env[Floats, np.int64]):
             return "duration"
         if travelled_m >= self.drivable_m:
             return "end of road"
-        speeds = self._simulation.speeds_mps
+        speeds = self._simulation.host.speeds_mps
         crawls = speeds[-1] < CRAWL_MPS and len(speeds) >= STANDSTILL_STEPS
         return "standstill" if crawls and max(speeds[-STANDSTILL_STEPS:]) < CRAWL_MPS else None
 
@@ -267,13 +267,13 @@ class HighwayEnv(gymnasium.Env[Floats, np.int64]):
     def action_masks(self) -> list[bool]:
         """Return for each meta-action whether a masked policy may choose it now, see `Adas.allowed`."""
         assert self._simulation is not None
-        return self._adas.allowed(self._simulation.host(), self._simulation.gaps)
+        return self._adas.allowed(self._simulation.host.state(), self._simulation.host.gaps)
 
     def surroundings(self) -> tuple[HostState, Gaps, Gaps, Gaps]:
         """Return the host's state and the true gaps in its own lane, to its left and to its right."""
         assert self._simulation is not None
-        gaps = self._simulation.gaps
-        return self._simulation.host(), gaps(0), gaps(1), gaps(-1)
+        gaps = self._simulation.host.gaps
+        return self._simulation.host.state(), gaps(0), gaps(1), gaps(-1)
 
     def trajectory(self) -> Trajectory:
         """Return the episode so far."""
@@ -282,16 +282,16 @@ class HighwayEnv(gymnasium.Env[Floats, np.int64]):
             observations=np.array(self._observations),
             actions=np.array(self._actions, dtype=np.int64),
             carried_out=np.array(self._carried_out, dtype=np.int64),
-            speed_mps=np.array(self._simulation.speeds_mps),
+            speed_mps=np.array(self._simulation.host.speeds_mps),
             lane_changing=np.array(self._lane_changing, dtype=np.bool_),
             overtakes=self._overtakes,
             overtaken=self._overtaken,
             lane_changes=self._adas.lane_changes,
             aborted_lane_changes=self._adas.aborted_lane_changes,
             refused_decisions=self._adas.refused_decisions,
-            collisions=self._simulation.collisions,
-            struck=self._simulation.struck,
-            min_ttc_s=self._simulation.min_ttc_s,
+            collisions=self._simulation.host.collisions,
+            struck=self._simulation.host.struck,
+            min_ttc_s=self._simulation.host.min_ttc_s,
             end_reason=self._end,
             seed=self._seed,
             network=self._road.name,

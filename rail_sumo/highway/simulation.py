@@ -1,6 +1,5 @@
-"""The one libsumo process: Scene out, Command in. Every SUMO fact is converted once, here."""
+"""The one libsumo process: Scene out, Command in. SUMO's facts are converted once, here and in `host`."""
 
-import math
 import os
 from collections.abc import Sequence
 from pathlib import Path
@@ -12,12 +11,11 @@ from rail_sumo import config
 from rail_sumo.errors import InputError
 from rail_sumo.highway import sumo_errors
 from rail_sumo.highway.demand import HOST, OURS, folders_written
-from rail_sumo.highway.right_of_way import NOT_GREEN, GiveWay, Signal
+from rail_sumo.highway.host import HOST_TYPE, Host, way_of
 from rail_sumo.highway.road import Road
-from rail_sumo.records import KMH, SECONDS_PER_STEP, Command, Gaps, HostState, Scene
+from rail_sumo.records import SECONDS_PER_STEP, Command, Scene
 
 # Ids that no demand of a user's has; the types' are those of `TYPES`.
-HOST_TYPE = HOST
 TRAFFIC_TYPE = f"{OURS}traffic"
 ROUTE = f"{OURS}route"
 TYPES = Path(__file__).with_name("types.add.xml")
@@ -27,33 +25,17 @@ RESPECT_OTHERS_GAPS = 512
 """Lane-change mode: no change of its own accord; a commanded one waits for a gap that is safe to others."""
 LEAVE_ENDING_LANES = 513
 """Lane-change mode: the same, but away from a lane that does not lead on."""
-COMMANDED_ONLY = 256
-"""Lane-change mode of the host: no change of its own accord; the ADAS layer is the gate, SUMO only avoids overlap."""
-
-UNLIMITED = 10.0
-"""Speed factor of whom SUMO does not hold to the road's speed limits."""
-
-SUMO_CHANGES_LANES = 1621
-"""SUMO's default lane-change mode."""
-
-SUMO_SPEED_MODE = 31
-"""SUMO's default speed mode."""
-IGNORE_SIGNALS = 15
-"""Speed mode: the same, but for signals."""
 
 SEEDS = 2**31
 """SUMO takes seeds below this."""
 WAIT_S, GAP_WAIT_S = 120.0, 30.0
 """How long to wait for the host to enter, and of that for a gap that lets it do so at its starting speed."""
-LEADER_RANGE_M = 100.0
-SLACK_M = 100.0
-"""Junctions are heeded from this much farther away than the host needs to stop comfortably from its highest speed."""
 STOREY_M = 3.0
 """Vehicles farther above or below drive on another road, as on a bridge."""
 
 
 class Simulation:
-    """SUMO on one network with one host vehicle.
+    """SUMO on one network with one host vehicle, its `host`.
 
     libsumo holds one simulation a process, so a second one is refused while the first is open. Close it, or use it as
     a context manager.
@@ -93,22 +75,14 @@ class Simulation:
                 "a simulation is already running in this process and libsumo holds only one; "
                 "close it, or drive episodes in worker processes"
             )
-        self._adas = adas
         self._context_m = context_m
         self._sizes: dict[str, tuple[float, float]] = {}
         self._routes: dict[tuple[str, ...], str] = {}
         self._edges = {edge.id: edge for edge in road.edges}
-        self.speeds_mps: list[float] = []
-        self._heeds_m = (adas.max_speed_kmh / KMH) ** 2 / (2 * adas.comfort_braking_mps2) + SLACK_M
-        self._drives_on = False  # past the next signal, though it is not green
-        self._lateral_m = 0.0
         self._held: dict[str, int] = {}  # who may not change lanes now, with the lane-change mode to give back
         self._prefix = f"{OURS}{os.getpid()}_"
         self._written = folders_written(additional)
         self._outputs = outputs
-        self.collisions = 0
-        self.struck = 0
-        self.min_ttc_s = math.inf
         sumo_errors.start(
             [
                 *("--net-file", str(road.net_file)),
@@ -126,10 +100,7 @@ class Simulation:
             ]
         )
         Simulation._running = self._is_open = True
-        self._has_signals = bool(libsumo.trafficlight.getIDList())
-        self._gives_way = road.gives_way
-        self._meets_others = self._has_signals or self._gives_way
-        self._equip_host()
+        self.host = Host(road, adas)
 
     def __enter__(self) -> "Simulation":
         return self
@@ -149,23 +120,6 @@ class Simulation:
             for folder in self._written:
                 for report in folder.glob(f"{self._prefix}*"):
                     report.unlink(missing_ok=True)
-
-    def _equip_host(self) -> None:
-        """Give the host car-following that brakes safely and never harder than it may.
-
-        Krauss without imperfection, a deceleration as hard as emergency braking, and others told to expect a
-        comfortable one. SUMO never exceeds `decel` under setSpeed in the default speed mode, and this model needs no
-        more to stay clear of a leader that brakes as hard.
-        """
-        types, adas = libsumo.vehicletype, self._adas
-        types.setAccel(HOST_TYPE, adas.acceleration_mps2)
-        types.setDecel(HOST_TYPE, adas.emergency_braking_mps2)
-        types.setEmergencyDecel(HOST_TYPE, adas.emergency_braking_mps2)
-        types.setApparentDecel(HOST_TYPE, min(4.5, adas.emergency_braking_mps2))
-        types.setImperfection(HOST_TYPE, 0.0)
-        types.setMaxSpeed(HOST_TYPE, adas.max_speed_kmh / KMH)
-        types.setTau(HOST_TYPE, adas.time_gap_s)
-        types.setMinGap(HOST_TYPE, adas.standstill_gap_m)
 
     # Vehicles come and go.
 
@@ -192,9 +146,7 @@ class Simulation:
 
     def _enter(self, speed: str) -> None:
         self._add(HOST, HOST_TYPE, *self._start, speed)
-        libsumo.vehicle.setSpeedFactor(HOST, UNLIMITED)  # its layer keeps to the limits, and brakes for them in time
-        libsumo.vehicle.setLaneChangeMode(HOST, COMMANDED_ONLY)
-        libsumo.vehicle.setSpeed(HOST, self._start_mps)
+        self.host.take_over(self._start_mps)
 
     def _add(self, name: str, kind: str, edges: Sequence[str], lane: int, front_m: float, speed: str) -> None:
         route = tuple(edges)
@@ -226,11 +178,11 @@ class Simulation:
 
     def is_on_course(self, name: str) -> bool:
         """Return whether a vehicle on the road drives along the host's course, or has just come from it."""
-        return _way_of(name)[0] in self._edges
+        return way_of(name)[0] in self._edges
 
     def heads_for_course(self, name: str) -> bool:
         """Return whether a vehicle's way leads along the host's course, from where it is on."""
-        return not self._edges.keys().isdisjoint(_way_of(name))
+        return not self._edges.keys().isdisjoint(way_of(name))
 
     def travelled_m(self, name: str) -> float:
         """Return a vehicle's odometer: metres driven since its insertion."""
@@ -245,14 +197,14 @@ class Simulation:
         Raises:
             InputError: it has not entered within `WAIT_S`.
         """
-        vehicle, slower = libsumo.vehicle, False
+        slower = False
         for number in range(round(WAIT_S / SECONDS_PER_STEP)):
             if number == round(GAP_WAIT_S / SECONDS_PER_STEP) and not slower:
-                vehicle.remove(HOST)
+                libsumo.vehicle.remove(HOST)
             if number and HOST not in libsumo.simulation.getPendingVehicles():
                 slower = True
                 self._enter("max")
-                vehicle.setMaxSpeed(HOST, self._start_mps)
+                self.host.hold_below(self._start_mps)
             libsumo.simulation.step()
             if HOST in libsumo.simulation.getDepartedIDList():
                 break
@@ -263,14 +215,8 @@ class Simulation:
                 f"'{edges[0]}'; use a lighter demand, or begin elsewhere by network.course"
             )
         if slower:
-            vehicle.setMaxSpeed(HOST, self._adas.max_speed_kmh / KMH)
-        self.speeds_mps.append(vehicle.getSpeed(HOST))
-
-    def hand_over(self) -> None:
-        """Let SUMO's own driver change lanes too; its speed is left to it by a command with a negative speed."""
-        libsumo.vehicle.setLaneChangeMode(HOST, SUMO_CHANGES_LANES)
-
-    # What the host's sensors and its ADAS layer can know.
+            self.host.hold_below(self.host.fastest_mps)
+        self.host.begin()
 
     def scene(self) -> Scene:
         """Return the host and every vehicle within the context's reach, east or west, north or south.
@@ -307,151 +253,26 @@ class Simulation:
             size = self._sizes[name] = (libsumo.vehicle.getLength(name), libsumo.vehicle.getWidth(name))
         return size
 
-    def host(self) -> HostState:
-        """Return where the host stands on its edge; off the course's lanes, as on a junction, none is beside it.
-
-        The limit is that of the lane it is on, as it is now; those ahead are the network's, and what right of way asks.
-        """
-        vehicle = libsumo.vehicle
-        stops = tuple(signal.stop_m for signal in self._signals() if self._stops_at(signal))
-        careful = [give_way.limit for give_way in self._give_ways()]
-        edge = self._edges.get(vehicle.getRoadID(HOST))
-        speed, lane = vehicle.getSpeed(HOST), vehicle.getLaneIndex(HOST)
-        limit = libsumo.lane.getMaxSpeed(vehicle.getLaneID(HOST))
-        if edge is None or lane not in (lanes := edge.lanes):  # on a junction, or strayed
-            ahead = (*self._limits_beyond_this_lane(), *careful)
-            return HostState(speed, lane, lane, lane, 0.0, 0.0, 0.0, 0.0, (math.inf,), limit, ahead, stops)
-        here = lane - edge.first_lane
-        to_edge_end_m = edge.length_m - vehicle.getLanePosition(HOST)
-        return HostState(
-            speed_mps=speed,
-            lane=lane,
-            rightmost_lane=lanes[0],
-            leftmost_lane=lanes[-1],
-            to_edge_end_m=to_edge_end_m,
-            lane_width_m=edge.lane_widths_m[here],
-            to_left_m=edge.to_left_m[here],
-            to_right_m=edge.to_right_m[here],
-            leads_on_m=edge.leads_on_m,
-            limit_mps=limit,
-            limits_ahead=(*edge.limits_ahead, *((metres - to_edge_end_m, limit) for metres, limit in careful)),
-            stops_ahead=stops,
-        )
-
-    def _limits_beyond_this_lane(self) -> tuple[tuple[float, float], ...]:
-        """Return the limits of the edge that comes next, and beyond it, with the metres from here to each."""
-        way = _way_of(HOST)
-        ahead = self._edges.get(way[1]) if len(way) > 1 else None
-        if ahead is None:
-            return ()
-        vehicle = libsumo.vehicle
-        to_it_m = libsumo.lane.getLength(vehicle.getLaneID(HOST)) - vehicle.getLanePosition(HOST)
-        beyond = ((to_it_m + ahead.length_m + metres, limit) for metres, limit in ahead.limits_ahead)
-        return (to_it_m, ahead.limit_mps), *beyond
-
-    def _signals(self) -> list[Signal]:
-        """Return the signals that the host may have to brake for by now, the nearest first."""
-        if not self._has_signals:
-            return []
-        now, next_switch = libsumo.simulation.getTime(), libsumo.trafficlight.getNextSwitch
-        ahead = libsumo.vehicle.getNextTLS(HOST)
-        return [Signal(m, state, next_switch(name) - now) for name, _, m, state in ahead if m < self._heeds_m]
-
-    def _give_ways(self) -> list[GiveWay]:
-        """Return the ways without priority that the host may have to brake for by now, the nearest first."""
-        if not self._gives_way:
-            return []
-        length_of, here, found = libsumo.lane.getLength, libsumo.vehicle.getLaneID(HOST), []
-        ahead_m = length_of(here) - libsumo.vehicle.getLanePosition(HOST)
-        for lane, has_priority, is_open, _, _, state, _, inside_m in libsumo.vehicle.getNextLinks(HOST):
-            if ahead_m > self._heeds_m:
-                break
-            is_entered = not here.startswith(":")  # or the host is on the junction, and leaves it
-            if is_entered and not has_priority and state not in NOT_GREEN:
-                found.append(GiveWay(ahead_m, is_open))
-            ahead_m += inside_m + length_of(lane)
-            here = lane
-        return found
-
-    def _stops_at(self, signal: Signal) -> bool:
-        return signal.stops(libsumo.vehicle.getSpeed(HOST), braking_mps2=self._adas.emergency_braking_mps2)
-
-    def gaps(self, side: int) -> Gaps:
-        """Return the gaps in the host's own lane (0) or the one to its left (+1) or right (-1)."""
-        if side == 0:
-            leader, follower = libsumo.vehicle.getLeader(HOST, LEADER_RANGE_M), libsumo.vehicle.getFollower(HOST)
-            ahead, behind = ([pair] if pair and pair[0] else [] for pair in (leader, follower))
-        else:
-            mode = 0 if side > 0 else 1
-            ahead, behind = (libsumo.vehicle.getNeighbors(HOST, mode | which) for which in (2, 0))
-        ahead_m, ahead_speed = self._nearest(ahead, self._adas.standstill_gap_m)
-        behind_m, behind_speed = self._nearest(behind, None)
-        return Gaps(ahead_m, ahead_speed, behind_m, behind_speed)
-
-    @property
-    def contact(self) -> bool:
-        """Whether the host has struck or been struck."""
-        return bool(self.collisions or self.struck)
-
-    @staticmethod
-    def _nearest(neighbours: Sequence[tuple[str, float]], min_gap_m: float | None) -> tuple[float, float]:
-        """SUMO tells gaps without the follower's standstill gap; add it back to get bumper to bumper."""
-        if not neighbours:
-            return math.inf, 0.0
-        name, gap = min(neighbours, key=lambda neighbour: neighbour[1])
-        standstill = libsumo.vehicle.getMinGap(name) if min_gap_m is None else min_gap_m
-        return gap + standstill, libsumo.vehicle.getSpeed(name)
-
     # Time goes on.
 
     def run(self, command: Command) -> int:
         """Carry a command out and return the number of steps driven.
 
-        They are fewer than asked where the host collides, or signals ahead change or are yellow, or a way opens or
-        closes.
+        They are fewer than asked where the host collides, or has to look again at a junction ahead.
         """
-        vehicle, signals = libsumo.vehicle, self._signals()
-        shown = self._shown()
-        drives_on = any(not signal.is_green and not self._stops_at(signal) for signal in signals[:1])
-        looks_again = drives_on or any(signal.is_yellow for signal in signals)
-        if drives_on != self._drives_on:
-            vehicle.setSpeedMode(HOST, IGNORE_SIGNALS if drives_on else SUMO_SPEED_MODE)
-            self._drives_on = drives_on
-        vehicle.setSpeed(HOST, command.speed_mps)
         if bool(command.lateral_m) != bool(self._held):
             self._release() if self._held else self._hold()
-        if command.cross:
-            vehicle.changeLane(HOST, vehicle.getLaneIndex(HOST) + command.cross, 0.0)
-        if command.lateral_m != self._lateral_m:
-            vehicle.setLateralLanePosition(HOST, command.lateral_m)
-            self._lateral_m = command.lateral_m
+        self.host.obey(command)
         for driven in range(1, command.steps + 1):
             self._step()
-            if self.contact:
-                return driven
-            if self._meets_others and (looks_again or self._shown() != shown):
+            if self.host.contact or self.host.must_look:
                 return driven
         return command.steps
-
-    def _shown(self) -> list[str | bool]:
-        """Return what signals on the host's way show, and which ways without priority are open."""
-        return [signal.state for signal in self._signals()] + [give_way.is_open for give_way in self._give_ways()]
 
     def _step(self) -> None:
         """Let SUMO go one step on, and note what became of the host."""
         libsumo.simulation.step()
-        speed = libsumo.vehicle.getSpeed(HOST)
-        self.speeds_mps.append(speed)
-        leader = libsumo.vehicle.getLeader(HOST, LEADER_RANGE_M)
-        if leader and leader[0]:
-            closing = speed - libsumo.vehicle.getSpeed(leader[0])
-            gap = leader[1] + self._adas.standstill_gap_m
-            if closing * self.min_ttc_s > gap > 0.0:
-                self.min_ttc_s = gap / closing
-        if libsumo.simulation.getCollidingVehiclesNumber():
-            for collision in libsumo.simulation.getCollisions():  # those among the others are none of its business
-                self.collisions += collision.collider == HOST
-                self.struck += collision.victim == HOST
+        self.host.note()
 
     def _hold(self) -> None:
         """Keep everyone near from changing lanes while the host does.
@@ -483,8 +304,3 @@ def floating_car_data(file: Path, *, reach_m: float) -> tuple[str, ...]:
         *("--fcd-output", str(file), "--fcd-output.attributes", columns),
         *("--device.fcd.explicit", HOST, "--device.fcd.radius", str(reach_m)),
     )
-
-
-def _way_of(name: str) -> Sequence[str]:
-    """Return the edges of a vehicle's route from the one on that it is on, or was on before the junction."""
-    return libsumo.vehicle.getRoute(name)[libsumo.vehicle.getRouteIndex(name) :]

@@ -99,7 +99,7 @@ class MovingWindow:
     def _replace(self, host_m: float) -> None:
         """Bring in one vehicle just inside an edge of the window; without room there, the next update tries again."""
         desired_mps = self._draw_speed_mps()
-        slower = desired_mps < self._simulation.speeds_mps[-1]
+        slower = desired_mps < self._simulation.host.speeds_mps[-1]
         ahead_m = self._config.ahead_m - 1.0 if slower else 1.0 - self._config.behind_m
         self._insert(ahead_m, host_m, self._draw_lane(host_m + ahead_m), desired_mps)
 

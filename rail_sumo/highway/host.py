@@ -1,0 +1,242 @@
+"""The host on SUMO: what its sensors and its ADAS layer can know, how it obeys, and what becomes of it."""
+
+import math
+from collections.abc import Sequence
+
+import libsumo
+
+from rail_sumo import config
+from rail_sumo.highway.demand import HOST
+from rail_sumo.highway.right_of_way import NOT_GREEN, GiveWay, Signal
+from rail_sumo.highway.road import Road
+from rail_sumo.records import KMH, Command, Gaps, HostState
+
+HOST_TYPE = HOST
+"""The id of its vehicle type."""
+
+COMMANDED_ONLY = 256
+"""Lane-change mode of the host: no change of its own accord; the ADAS layer is the gate, SUMO only avoids overlap."""
+SUMO_CHANGES_LANES = 1621
+"""SUMO's default lane-change mode."""
+
+UNLIMITED = 10.0
+"""Speed factor of whom SUMO does not hold to the road's speed limits."""
+
+SUMO_SPEED_MODE = 31
+"""SUMO's default speed mode."""
+IGNORE_SIGNALS = 15
+"""Speed mode: the same, but for signals."""
+
+LEADER_RANGE_M = 100.0
+SLACK_M = 100.0
+"""Junctions are heeded from this much farther away than the host needs to stop comfortably from its highest speed."""
+
+
+class Host:
+    """The vehicle that is driven, in the simulation that is open.
+
+    Args:
+        road: its course.
+        adas: limits of its car-following (ACC and AEB).
+    """
+
+    def __init__(self, road: Road, adas: config.Adas) -> None:
+        self._adas = adas
+        self._edges = {edge.id: edge for edge in road.edges}
+        self._has_signals = bool(libsumo.trafficlight.getIDList())
+        self._gives_way = road.gives_way
+        self._meets_others = self._has_signals or self._gives_way
+        self._heeds_m = self.fastest_mps**2 / (2 * adas.comfort_braking_mps2) + SLACK_M
+        self._drives_on = False  # past the next signal, though it is not green
+        self._lateral_m = 0.0
+        self.speeds_mps: list[float] = []
+        self.collisions = 0
+        self.struck = 0
+        self.min_ttc_s = math.inf
+        self._equip()
+
+    @property
+    def fastest_mps(self) -> float:
+        """Its highest set speed."""
+        return self._adas.max_speed_kmh / KMH
+
+    def _equip(self) -> None:
+        """Give it car-following that brakes safely and never harder than it may.
+
+        Krauss without imperfection, a deceleration as hard as emergency braking, and others told to expect a
+        comfortable one. SUMO never exceeds `decel` under setSpeed in the default speed mode, and this model needs no
+        more to stay clear of a leader that brakes as hard.
+        """
+        types, adas = libsumo.vehicletype, self._adas
+        types.setAccel(HOST_TYPE, adas.acceleration_mps2)
+        types.setDecel(HOST_TYPE, adas.emergency_braking_mps2)
+        types.setEmergencyDecel(HOST_TYPE, adas.emergency_braking_mps2)
+        types.setApparentDecel(HOST_TYPE, min(4.5, adas.emergency_braking_mps2))
+        types.setImperfection(HOST_TYPE, 0.0)
+        types.setMaxSpeed(HOST_TYPE, self.fastest_mps)
+        types.setTau(HOST_TYPE, adas.time_gap_s)
+        types.setMinGap(HOST_TYPE, adas.standstill_gap_m)
+
+    # It enters.
+
+    def take_over(self, speed_mps: float) -> None:
+        """Leave it to its layer from the moment on that it enters, at such a speed at first."""
+        libsumo.vehicle.setSpeedFactor(HOST, UNLIMITED)  # its layer keeps to the limits, and brakes for them in time
+        libsumo.vehicle.setLaneChangeMode(HOST, COMMANDED_ONLY)
+        libsumo.vehicle.setSpeed(HOST, speed_mps)
+
+    def hold_below(self, speed_mps: float) -> None:
+        """Let it drive no faster, whatever is commanded."""
+        libsumo.vehicle.setMaxSpeed(HOST, speed_mps)
+
+    def begin(self) -> None:
+        """Note the speed at which it has entered."""
+        self.speeds_mps.append(libsumo.vehicle.getSpeed(HOST))
+
+    def hand_over(self) -> None:
+        """Let SUMO's own driver change lanes too; its speed is left to it by a command with a negative speed."""
+        libsumo.vehicle.setLaneChangeMode(HOST, SUMO_CHANGES_LANES)
+
+    # What it can know.
+
+    def state(self) -> HostState:
+        """Return where it stands on its edge; off the course's lanes, as on a junction, none is beside it.
+
+        The limit is that of the lane it is on, as it is now; those ahead are the network's, and what right of way asks.
+        """
+        vehicle = libsumo.vehicle
+        stops = tuple(signal.stop_m for signal in self._signals() if self._stops_at(signal))
+        careful = [give_way.limit for give_way in self._give_ways()]
+        edge = self._edges.get(vehicle.getRoadID(HOST))
+        speed, lane = vehicle.getSpeed(HOST), vehicle.getLaneIndex(HOST)
+        limit = libsumo.lane.getMaxSpeed(vehicle.getLaneID(HOST))
+        if edge is None or lane not in (lanes := edge.lanes):  # on a junction, or strayed
+            ahead = (*self._limits_beyond_this_lane(), *careful)
+            return HostState(speed, lane, lane, lane, 0.0, 0.0, 0.0, 0.0, (math.inf,), limit, ahead, stops)
+        here = lane - edge.first_lane
+        to_edge_end_m = edge.length_m - vehicle.getLanePosition(HOST)
+        return HostState(
+            speed_mps=speed,
+            lane=lane,
+            rightmost_lane=lanes[0],
+            leftmost_lane=lanes[-1],
+            to_edge_end_m=to_edge_end_m,
+            lane_width_m=edge.lane_widths_m[here],
+            to_left_m=edge.to_left_m[here],
+            to_right_m=edge.to_right_m[here],
+            leads_on_m=edge.leads_on_m,
+            limit_mps=limit,
+            limits_ahead=(*edge.limits_ahead, *((metres - to_edge_end_m, slow) for metres, slow in careful)),
+            stops_ahead=stops,
+        )
+
+    def _limits_beyond_this_lane(self) -> tuple[tuple[float, float], ...]:
+        """Return the limits of the edge that comes next, and beyond it, with the metres from here to each."""
+        way = way_of(HOST)
+        ahead = self._edges.get(way[1]) if len(way) > 1 else None
+        if ahead is None:
+            return ()
+        vehicle = libsumo.vehicle
+        to_it_m = libsumo.lane.getLength(vehicle.getLaneID(HOST)) - vehicle.getLanePosition(HOST)
+        beyond = ((to_it_m + ahead.length_m + metres, limit) for metres, limit in ahead.limits_ahead)
+        return (to_it_m, ahead.limit_mps), *beyond
+
+    def _signals(self) -> list[Signal]:
+        """Return the signals that the host may have to brake for by now, the nearest first."""
+        if not self._has_signals:
+            return []
+        now, next_switch = libsumo.simulation.getTime(), libsumo.trafficlight.getNextSwitch
+        ahead = libsumo.vehicle.getNextTLS(HOST)
+        return [Signal(m, state, next_switch(name) - now) for name, _, m, state in ahead if m < self._heeds_m]
+
+    def _give_ways(self) -> list[GiveWay]:
+        """Return the ways without priority that the host may have to brake for by now, the nearest first."""
+        if not self._gives_way:
+            return []
+        length_of, here, found = libsumo.lane.getLength, libsumo.vehicle.getLaneID(HOST), []
+        ahead_m = length_of(here) - libsumo.vehicle.getLanePosition(HOST)
+        for lane, has_priority, is_open, _, _, state, _, inside_m in libsumo.vehicle.getNextLinks(HOST):
+            if ahead_m > self._heeds_m:
+                break
+            is_entered = not here.startswith(":")  # or the host is on the junction, and leaves it
+            if is_entered and not has_priority and state not in NOT_GREEN:
+                found.append(GiveWay(ahead_m, is_open))
+            ahead_m += inside_m + length_of(lane)
+            here = lane
+        return found
+
+    def _stops_at(self, signal: Signal) -> bool:
+        return signal.stops(libsumo.vehicle.getSpeed(HOST), braking_mps2=self._adas.emergency_braking_mps2)
+
+    def gaps(self, side: int) -> Gaps:
+        """Return the gaps in the host's own lane (0) or the one to its left (+1) or right (-1)."""
+        if side == 0:
+            leader, follower = libsumo.vehicle.getLeader(HOST, LEADER_RANGE_M), libsumo.vehicle.getFollower(HOST)
+            ahead, behind = ([pair] if pair and pair[0] else [] for pair in (leader, follower))
+        else:
+            mode = 0 if side > 0 else 1
+            ahead, behind = (libsumo.vehicle.getNeighbors(HOST, mode | which) for which in (2, 0))
+        ahead_m, ahead_speed = self._nearest(ahead, self._adas.standstill_gap_m)
+        behind_m, behind_speed = self._nearest(behind, None)
+        return Gaps(ahead_m, ahead_speed, behind_m, behind_speed)
+
+    @staticmethod
+    def _nearest(neighbours: Sequence[tuple[str, float]], min_gap_m: float | None) -> tuple[float, float]:
+        """SUMO tells gaps without the follower's standstill gap; add it back to get bumper to bumper."""
+        if not neighbours:
+            return math.inf, 0.0
+        name, gap = min(neighbours, key=lambda neighbour: neighbour[1])
+        standstill = libsumo.vehicle.getMinGap(name) if min_gap_m is None else min_gap_m
+        return gap + standstill, libsumo.vehicle.getSpeed(name)
+
+    # What it does, and what becomes of it.
+
+    def obey(self, command: Command) -> None:
+        """Let the next step, and those after it, carry a command out."""
+        vehicle, signals = libsumo.vehicle, self._signals()
+        drives_on = any(not signal.is_green and not self._stops_at(signal) for signal in signals[:1])
+        if drives_on != self._drives_on:
+            vehicle.setSpeedMode(HOST, IGNORE_SIGNALS if drives_on else SUMO_SPEED_MODE)
+            self._drives_on = drives_on
+        vehicle.setSpeed(HOST, command.speed_mps)
+        if command.cross:
+            vehicle.changeLane(HOST, vehicle.getLaneIndex(HOST) + command.cross, 0.0)
+        if command.lateral_m != self._lateral_m:
+            vehicle.setLateralLanePosition(HOST, command.lateral_m)
+            self._lateral_m = command.lateral_m
+        self._shown = self._shows()
+        self._is_unsure = drives_on or any(signal.is_yellow for signal in signals)
+
+    @property
+    def must_look(self) -> bool:
+        """Whether a junction ahead wants a fresh look: a signal is yellow or has changed, a way opened or closed."""
+        return self._meets_others and (self._is_unsure or self._shows() != self._shown)
+
+    def _shows(self) -> list[str | bool]:
+        """Return what signals on the host's way show, and which ways without priority are open."""
+        return [signal.state for signal in self._signals()] + [give_way.is_open for give_way in self._give_ways()]
+
+    def note(self) -> None:
+        """Note what the last step has come to."""
+        speed = libsumo.vehicle.getSpeed(HOST)
+        self.speeds_mps.append(speed)
+        leader = libsumo.vehicle.getLeader(HOST, LEADER_RANGE_M)
+        if leader and leader[0]:
+            closing = speed - libsumo.vehicle.getSpeed(leader[0])
+            gap = leader[1] + self._adas.standstill_gap_m
+            if closing * self.min_ttc_s > gap > 0.0:
+                self.min_ttc_s = gap / closing
+        if libsumo.simulation.getCollidingVehiclesNumber():
+            for collision in libsumo.simulation.getCollisions():  # those among the others are none of its business
+                self.collisions += collision.collider == HOST
+                self.struck += collision.victim == HOST
+
+    @property
+    def contact(self) -> bool:
+        """Whether the host has struck or been struck."""
+        return bool(self.collisions or self.struck)
+
+
+def way_of(name: str) -> Sequence[str]:
+    """Return the edges of a vehicle's route from the one on that it is on, or was on before the junction."""
+    return libsumo.vehicle.getRoute(name)[libsumo.vehicle.getRouteIndex(name) :]
