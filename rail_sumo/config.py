@@ -119,7 +119,7 @@ class Adas(_Section):
     """The layer that carries the decisions out."""
 
     min_speed_kmh: Positive = 40.0
-    """The lowest set speed; traffic, limits and signals may make the host slower."""
+    """The lowest set speed; traffic, limits and right of way may make the host slower."""
     max_speed_kmh: Positive = 80.0
     """The highest."""
     speed_step_kmh: Positive = 5.0
@@ -128,7 +128,7 @@ class Adas(_Section):
     """At which the host enters."""
     acceleration_mps2: Positive = 2.0
     comfort_braking_mps2: Positive = 2.0
-    """For a lower set speed, for speed limits, for signals and where others have right of way."""
+    """For a lower set speed, for speed limits, and for signals and others who have right of way."""
     emergency_braking_mps2: Annotated[float, Field(gt=0.0, le=9.0)] = 9.0
     """The hardest, for whatever is ahead."""
     time_gap_s: Annotated[float, Field(ge=1.0, le=5.0)] = 1.0

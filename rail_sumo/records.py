@@ -64,9 +64,9 @@ class HostState:
     limit_mps: float = math.inf
     """The speed limit here."""
     limits_ahead: tuple[tuple[float, float], ...] = ()
-    """Metres beyond the edge's end, and the speed limit from there on."""
-    stops_ahead: tuple[float, ...] = ()
-    """Metres to where the host must stand: at signals."""
+    """Metres beyond the edge's end (before it, where negative), and the highest speed from there on."""
+    stops_ahead: tuple[tuple[float, float], ...] = ()
+    """Metres ahead of the host itself, and how slow it must be there, in m/s, however hard it brakes for that."""
 
     def ends_in_m(self, lane: int) -> float:
         """Return how far ahead of the host a lane stops leading on along the course."""

@@ -26,6 +26,8 @@ MIDDLE = HostState(
     to_right_m=LANE_M,
     leads_on_m=(math.inf,) * 5,
 )
+ENDING = (0.0, 0.0, 0.0, math.inf, math.inf)
+"""The three right lanes lead nowhere; whoever drives there stays on the edge."""
 FREE = Gaps(ahead_m=math.inf, ahead_speed_mps=0.0, behind_m=math.inf, behind_speed_mps=0.0)
 CLOSED = dataclasses.replace(FREE, ahead_m=1.0)
 
@@ -223,11 +225,11 @@ def test_it_brakes_comfortably_to_be_as_slow_as_a_limit_ahead_where_it_begins(ad
 
 
 def test_that_it_will_be_faster_by_then_counts_too(adas):
-    """At 10 m/s and on its way to 60 km/h, it may be within braking distance of a limit before the next decision."""
+    """At 10 m/s and on its way to 60 km/h, it is at 12 m/s by the next decision, and up to 12 m farther."""
     braking_m = ((60 / KMH) ** 2 - 10.0**2) / (2 * 2.0)
     near = {"speed_mps": 10.0, "limits_ahead": ((0.0, 10.0),)}
-    assert adas.command(at(to_edge_end_m=braking_m + 13.0, **near), free, steps=10).steps == 1
-    assert adas.command(at(to_edge_end_m=braking_m + 17.0, **near), free, steps=10).steps == 10
+    assert adas.command(at(to_edge_end_m=braking_m + 11.0, **near), free, steps=10).steps == 1
+    assert adas.command(at(to_edge_end_m=braking_m + 13.0, **near), free, steps=10).steps == 10
 
 
 def test_for_a_stop_it_brakes_comfortably_while_it_can():
@@ -235,22 +237,29 @@ def test_for_a_stop_it_brakes_comfortably_while_it_can():
     stopping_m = (60 / KMH) ** 2 / 4.0
     one_step_m = 6 / KMH
     here = {"speed_mps": 60 / KMH, "to_edge_end_m": 500.0}
-    assert adas_at(here, stops_ahead=(stopping_m + one_step_m + 0.1,)) == 60 / KMH
-    assert 60 / KMH - 0.2 < adas_at(here, stops_ahead=(200.0, stopping_m + one_step_m - 0.1)) < 60 / KMH
+    assert adas_at(here, stops_ahead=((stopping_m + one_step_m + 0.1, 0.0),)) == 60 / KMH
+    assert 60 / KMH - 0.2 < adas_at(here, stops_ahead=((200.0, 0.0), (stopping_m + one_step_m - 0.1, 0.0))) < 60 / KMH
 
 
 @pytest.mark.parametrize(("ahead_m", "braking_mps2"), [(50.0, 4.0), (25.0, 8.0), (20.0, 9.0), (0.0, 9.0), (-1.0, 9.0)])
 def test_for_a_stop_it_brakes_as_hard_as_it_takes_and_may(ahead_m, braking_mps2):
     """From 20 m/s it takes 400 / (2 * 50) = 4 m/s² to stop within 50 m."""
     here = {"speed_mps": 20.0, "to_edge_end_m": 500.0}
-    assert adas_at(here, stops_ahead=(ahead_m,)) == pytest.approx(20.0 - 0.1 * braking_mps2)
+    assert adas_at(here, stops_ahead=((ahead_m, 0.0),)) == pytest.approx(20.0 - 0.1 * braking_mps2)
+
+
+def test_where_it_may_creep_it_need_not_stop():
+    """From 20 m/s to 10 it takes 300 / (2 * 50) = 3 m/s² within 50 m."""
+    assert adas_at({"speed_mps": 20.0, "to_edge_end_m": 500.0}, stops_ahead=((50.0, 10.0),)) == pytest.approx(19.7)
+    assert adas_at({"speed_mps": 0.0, "to_edge_end_m": 500.0}, stops_ahead=((0.1, 0.2),)) > 0.5
+    assert adas_at({"speed_mps": 0.2, "to_edge_end_m": 500.0}, stops_ahead=((-0.1, 0.2),)) == pytest.approx(0.2)
 
 
 def test_braking_for_a_stop_is_even():
     """Step by step: 16.67 m/s, 50 m ahead, 2.78 m/s² to the end."""
     speed, ahead_m, braking = 60 / KMH, 50.0, []
     while speed > 3.0:
-        slower = adas_at({"speed_mps": speed, "to_edge_end_m": 500.0}, stops_ahead=(ahead_m,))
+        slower = adas_at({"speed_mps": speed, "to_edge_end_m": 500.0}, stops_ahead=((ahead_m, 0.0),))
         braking.append((speed - slower) * 10)
         speed, ahead_m = slower, ahead_m - 0.1 * slower
     assert len(braking) > 40
@@ -279,7 +288,9 @@ def test_sumos_own_driver_decides_its_speed_but_for_limits():
         (RIGHT, at(lane=0), free),
         (LEFT, at(to_left_m=0.0), free),  # a line forbids it
         (RIGHT, at(to_right_m=0.0), free),
-        (LEFT, at(to_edge_end_m=37.6), free),  # 20 m/s for 3.2 / 1.7 s are 37.65 m
+        (LEFT, at(to_edge_end_m=41.1), free),  # 20 m/s for 3.2 / 1.7 s are 37.65 m, and at 2 m/s² 3.54 m more
+        (LEFT, at(speed_mps=0.0, to_edge_end_m=3.5), free),
+        (LEFT, at(to_edge_end_m=37.6, leads_on_m=ENDING), free),
         (LEFT, MIDDLE, closed_on(1)),
         (RIGHT, MIDDLE, closed_on(-1)),
     ],
@@ -298,7 +309,11 @@ def test_a_change_without_lane_or_road_or_gap_is_refused_counted_and_not_begun(a
     [
         (LEFT, at(lane=3), closed_on(-1, 0)),
         (RIGHT, at(lane=1), closed_on(1, 0)),
-        (LEFT, at(to_edge_end_m=37.7), free),
+        (LEFT, at(to_edge_end_m=41.3), free),
+        (LEFT, at(speed_mps=0.0, to_edge_end_m=3.6), free),
+        (LEFT, at(speed_mps=80 / KMH, to_edge_end_m=41.9), free),  # it gets no faster
+        (LEFT, at(to_edge_end_m=37.7, leads_on_m=ENDING), free),
+        (LEFT, at(speed_mps=0.0, to_edge_end_m=0.1, leads_on_m=ENDING), free),
     ],
 )
 def test_a_change_into_a_free_lane_is_allowed_whatever_the_other_lanes_hold(adas, action, host, gaps):

@@ -1,7 +1,5 @@
 """Which signals the host stops at, and how slow it is where others come first."""
 
-import math
-
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
@@ -43,6 +41,20 @@ def test_whoever_stops_at_red_would_also_stop_from_a_lower_speed(state, ahead_m,
 
 
 def test_who_gives_way_is_slow_enough_to_see_or_stops_where_somebody_comes():
-    """4.5 m is what it takes to stop from 6.36 m/s at 4.5 m/s²."""
-    assert GiveWay(100.0, is_open=True).limit == (95.5, pytest.approx(math.sqrt(2 * 4.5 * 4.5), abs=0.01))
-    assert GiveWay(100.0, is_open=False).limit == (97.5, 0.4)
+    """At 2 m/s² it takes 4.2 m to stop from 4.10 m/s, and 100 m from 20 m/s."""
+    assert GiveWay(150.0, is_open=True).sight(braking_mps2=2.0) == (145.5, pytest.approx(4.10, abs=0.01))
+    assert GiveWay(150.0, is_open=True, sight_m=100.3).sight(braking_mps2=2.0) == pytest.approx((49.7, 20.0))
+    assert GiveWay(150.0, is_open=True, sight_m=0.1).sight(braking_mps2=2.0) == pytest.approx((149.9, 0.0))
+    assert GiveWay(100.0, is_open=False).stop == (99.7, 0.2)
+
+
+@pytest.mark.parametrize(
+    ("is_open", "ahead_m", "expected"),
+    [(True, 100.0, False), (False, 100.0, True), (False, STOPPING_M + 0.1, True), (False, STOPPING_M - 0.1, False)],
+)
+def test_the_host_waits_for_others_while_it_can(is_open, ahead_m, expected):
+    assert stops(GiveWay(ahead_m, is_open)) == expected
+
+
+def test_the_host_stands_before_a_signals_line():
+    assert Signal(100.0, "r", 60.0).stop == (97.5, 0.0)

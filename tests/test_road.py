@@ -47,14 +47,22 @@ def test_the_ring_runs_through_its_eight_edges_in_driving_order_and_closes():
     assert ring.is_loop
 
 
+def test_how_far_drivers_see_is_told_for_the_lane_it_is_told_of(tmp_path):
+    crossing = Path(__file__).with_name("crossing.net.xml").read_text()
+    path = tmp_path / "crossing.net.xml"
+    path.write_text(crossing.replace('via=":cross_0_1"', 'via=":cross_0_1" visibility="30.5"'))
+    assert road.load(str(path)).sight_m == {":cross_0_1": 30.5}
+    assert not road.load("ring5").sight_m
+
+
 @pytest.mark.parametrize("state", ["m", "=", "s", "w", "o"])
 def test_a_course_gives_way_where_a_connection_on_it_has_no_priority(tmp_path, state):
     crossing = Path(__file__).with_name("crossing.net.xml")
     path = tmp_path / "crossing.net.xml"
     path.write_text(crossing.read_text().replace('state="m"', f'state="{state}"'))
     assert road.load(str(path)).gives_way
-    path.write_text(crossing.read_text().replace('state="m"', 'state="M"'))
-    assert not road.load(str(path)).gives_way
+    path.write_text(crossing.read_text().replace('state="M"', 'state="w"').replace('state="m"', 'state="M"'))
+    assert not road.load(str(path)).gives_way  # the small letters are the other road's now
     assert not any(road.load(name).gives_way for name in ("highway5", "ring5"))
 
 

@@ -22,6 +22,8 @@ FOLLOWER_BRAKING_MPS2 = 4.5
 
 LEAVE_LANE_M = 300.0
 """How far before its end the host leaves a lane that does not lead on along its course."""
+TOUCH_M = 0.01
+"""Nearer than that is there."""
 SUMO_DECIDES = -1.0
 """As a commanded speed: SUMO's own driver picks it."""
 
@@ -135,7 +137,7 @@ class Adas:
         """
         if not _across(host, side):
             return False
-        if host.to_edge_end_m < host.speed_mps * _across(host, side) / self._config.lateral_speed_mps:
+        if not self._has_room(host, _across(host, side)):
             return False
         if host.ends_in_m(host.lane + side) < LEAVE_LANE_M and side != _way_on(host):
             return False
@@ -146,8 +148,18 @@ class Adas:
             return True
         assert self._side is not None
         back = LEFT if self._side == RIGHT else RIGHT
-        room = host.to_edge_end_m > host.speed_mps * self._width / self._config.lateral_speed_mps
+        room = self._has_room(host, self._width)
         return bool(_across(host, back)) and room and self._safe(host.speed_mps, gaps(back))
+
+    def _has_room(self, host: HostState, across_m: float) -> bool:
+        """Whether a change over so many metres ends before the edge does, even if the host speeds up meanwhile.
+
+        A lane that does not lead on holds it on the edge.
+        """
+        seconds = across_m / self._config.lateral_speed_mps
+        faster = self._config.acceleration_mps2 if host.ends_in_m(host.lane) > host.to_edge_end_m else 0.0
+        fastest = max(host.speed_mps, self._config.max_speed_kmh / KMH)
+        return host.to_edge_end_m >= min(host.speed_mps + 0.5 * faster * seconds, fastest) * seconds
 
     def _safe(self, speed_mps: float, gap: Gaps) -> bool:
         """The gate: the host's ACC need not brake behind its new leader, nor the new follower brake hard.
@@ -202,13 +214,15 @@ def _within_limits(speed_mps: float, host: HostState, config: config.Adas, *, st
     as it takes.
     """
     comfort, hardest = config.comfort_braking_mps2, config.emergency_braking_mps2
-    travel_m = max(host.speed_mps, speed_mps) * steps * SECONDS_PER_STEP
+    seconds = steps * SECONDS_PER_STEP
+    fastest = max(host.speed_mps, min(speed_mps, host.speed_mps + config.acceleration_mps2 * seconds))
+    travel_m = fastest * seconds
     allowed = [speed_mps, max(host.limit_mps, _comfortable(host, config))]
     for beyond_m, limit in host.limits_ahead:
         allowed.append(_approaching(limit, host, host.to_edge_end_m + beyond_m, travel_m, comfort))
-    for ahead_m in host.stops_ahead:
-        it_takes = host.speed_mps**2 / (2 * ahead_m) if ahead_m > 0.0 else math.inf
-        allowed.append(_approaching(0.0, host, ahead_m, travel_m, min(max(it_takes, comfort), hardest)))
+    for ahead_m, slow in host.stops_ahead:
+        it_takes = (host.speed_mps**2 - slow**2) / (2 * max(ahead_m, TOUCH_M))
+        allowed.append(_approaching(slow, host, ahead_m, travel_m, min(max(it_takes, comfort), hardest)))
     return min(allowed)
 
 
@@ -248,7 +262,7 @@ def _stopping_gap(speed_mps: float, leader_mps: float, braking_mps2: float) -> f
 
 
 class HandsOff:
-    """Stands in for `Adas` when SUMO's own driver drives: keeps to speed limits, else only counts SUMO's lane changes.
+    """Stands in for `Adas` when SUMO's own driver drives: keeps to limits and stops, and counts SUMO's lane changes.
 
     SUMO changes lanes within one step, so each counts one step as under way.
     """

@@ -7,7 +7,7 @@ import libsumo
 
 from rail_sumo import config
 from rail_sumo.highway.demand import HOST
-from rail_sumo.highway.right_of_way import NOT_GREEN, GiveWay, Signal
+from rail_sumo.highway.right_of_way import NOT_GREEN, SIGHT_M, GiveWay, Place, Signal
 from rail_sumo.highway.road import Road
 from rail_sumo.records import KMH, Command, Gaps, HostState
 
@@ -44,10 +44,12 @@ class Host:
         self._adas = adas
         self._edges = {edge.id: edge for edge in road.edges}
         self._has_signals = bool(libsumo.trafficlight.getIDList())
-        self._gives_way = road.gives_way
-        self._meets_others = self._has_signals or self._gives_way
+        self._meets_others = self._has_signals or road.gives_way
+        self._sight_m = road.sight_m
         self._heeds_m = self.fastest_mps**2 / (2 * adas.comfort_braking_mps2) + SLACK_M
         self._drives_on = False  # past the next signal, though it is not green
+        self._shown: list[str | bool] = []  # when the host last looked
+        self._is_unsure = False
         self._lateral_m = 0.0
         self.speeds_mps: list[float] = []
         self.collisions = 0
@@ -105,14 +107,13 @@ class Host:
         The limit is that of the lane it is on, as it is now; those ahead are the network's, and what right of way asks.
         """
         vehicle = libsumo.vehicle
-        stops = tuple(signal.stop_m for signal in self._signals() if self._stops_at(signal))
-        careful = [give_way.limit for give_way in self._give_ways()]
+        careful, stops = self._places()
         edge = self._edges.get(vehicle.getRoadID(HOST))
         speed, lane = vehicle.getSpeed(HOST), vehicle.getLaneIndex(HOST)
         limit = libsumo.lane.getMaxSpeed(vehicle.getLaneID(HOST))
         if edge is None or lane not in (lanes := edge.lanes):  # on a junction, or strayed
             ahead = (*self._limits_beyond_this_lane(), *careful)
-            return HostState(speed, lane, lane, lane, 0.0, 0.0, 0.0, 0.0, (math.inf,), limit, ahead, stops)
+            return HostState(speed, lane, lane, lane, 0.0, 0.0, 0.0, 0.0, (math.inf,), limit, ahead, tuple(stops))
         here = lane - edge.first_lane
         to_edge_end_m = edge.length_m - vehicle.getLanePosition(HOST)
         return HostState(
@@ -127,7 +128,7 @@ class Host:
             leads_on_m=edge.leads_on_m,
             limit_mps=limit,
             limits_ahead=(*edge.limits_ahead, *((metres - to_edge_end_m, slow) for metres, slow in careful)),
-            stops_ahead=stops,
+            stops_ahead=tuple(stops),
         )
 
     def _limits_beyond_this_lane(self) -> tuple[tuple[float, float], ...]:
@@ -151,22 +152,32 @@ class Host:
 
     def _give_ways(self) -> list[GiveWay]:
         """Return the ways without priority that the host may have to brake for by now, the nearest first."""
-        if not self._gives_way:
+        if not self._meets_others:
             return []
-        length_of, here, found = libsumo.lane.getLength, libsumo.vehicle.getLaneID(HOST), []
+        length_of, here = libsumo.lane.getLength, libsumo.vehicle.getLaneID(HOST)
         ahead_m = length_of(here) - libsumo.vehicle.getLanePosition(HOST)
-        for lane, has_priority, is_open, _, _, state, _, inside_m in libsumo.vehicle.getNextLinks(HOST):
+        if here.startswith(":"):  # on a junction: SUMO's list begins beyond the edge after it
+            ahead_m += sum(self._edges[edge].length_m for edge in way_of(HOST)[1:2] if edge in self._edges)
+        found, entered = [], ""
+        for lane, has_priority, is_open, _, via, state, _, inside_m in libsumo.vehicle.getNextLinks(HOST):
             if ahead_m > self._heeds_m:
                 break
-            is_entered = not here.startswith(":")  # or the host is on the junction, and leaves it
-            if is_entered and not has_priority and state not in NOT_GREEN:
-                found.append(GiveWay(ahead_m, is_open))
+            edge = libsumo.lane.getEdgeID(lane)
+            if edge == entered:  # listed once more, for another lane
+                continue
+            if not has_priority and state not in NOT_GREEN:
+                found.append(GiveWay(ahead_m, is_open, self._sight_m.get(via, SIGHT_M)))
             ahead_m += inside_m + length_of(lane)
-            here = lane
+            entered = edge
         return found
 
-    def _stops_at(self, signal: Signal) -> bool:
-        return signal.stops(libsumo.vehicle.getSpeed(HOST), braking_mps2=self._adas.emergency_braking_mps2)
+    def _places(self) -> tuple[list[Place], list[Place]]:
+        """Return where right of way asks the host to be slow: limits to see others from, and stops for them."""
+        speed, adas = libsumo.vehicle.getSpeed(HOST), self._adas
+        give_ways = self._give_ways()
+        limits = [way.sight(braking_mps2=adas.comfort_braking_mps2) for way in give_ways]
+        meets: list[Signal | GiveWay] = [*self._signals(), *give_ways]
+        return limits, [one.stop for one in meets if one.stops(speed, braking_mps2=adas.emergency_braking_mps2)]
 
     def gaps(self, side: int) -> Gaps:
         """Return the gaps in the host's own lane (0) or the one to its left (+1) or right (-1)."""
@@ -193,8 +204,9 @@ class Host:
 
     def obey(self, command: Command) -> None:
         """Let the next step, and those after it, carry a command out."""
-        vehicle, signals = libsumo.vehicle, self._signals()
-        drives_on = any(not signal.is_green and not self._stops_at(signal) for signal in signals[:1])
+        vehicle, signals, hardest = libsumo.vehicle, self._signals(), self._adas.emergency_braking_mps2
+        speed = vehicle.getSpeed(HOST)
+        drives_on = any(not one.is_green and not one.stops(speed, braking_mps2=hardest) for one in signals[:1])
         if drives_on != self._drives_on:
             vehicle.setSpeedMode(HOST, IGNORE_SIGNALS if drives_on else SUMO_SPEED_MODE)
             self._drives_on = drives_on
@@ -209,7 +221,10 @@ class Host:
 
     @property
     def must_look(self) -> bool:
-        """Whether a junction ahead wants a fresh look: a signal is yellow or has changed, a way opened or closed."""
+        """Whether a junction ahead wants a fresh look, before the command is carried out to its end.
+
+        So it does while a signal is yellow or passed though it is not green, and when what is ahead has changed.
+        """
         return self._meets_others and (self._is_unsure or self._shows() != self._shown)
 
     def _shows(self) -> list[str | bool]:

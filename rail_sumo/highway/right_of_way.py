@@ -1,5 +1,6 @@
 """Where others may come first on the host's way, and where it must be how slow for that."""
 
+import math
 from typing import NamedTuple
 
 YELLOW = frozenset("yY")
@@ -7,14 +8,17 @@ YELLOW = frozenset("yY")
 NOT_GREEN = YELLOW | frozenset("ru")
 """Yellow, red, and red with yellow."""
 
-STOP_SHORT_M = 2.5
-"""How far before a stop line the host stops. SUMO's own distance is 1 m, and it brakes for that harder at the end."""
+SIGNAL_SHORT_M = 2.5
+"""How far before a signal's stop line the host stands. SUMO's own distance is 1 m, and it brakes for that harder."""
+LINE_SHORT_M = 0.3
+"""How far before any other line: SUMO stops 0.1 m before it whoever must wait, ..."""
+CREEP_MPS = 0.2
+"""... and whoever has not come up to it may wait for ever."""
 SIGHT_M = 4.5
-"""How far before a way that has no priority drivers see who comes: SUMO's default."""
-CAUTIOUS_MPS = 6.36
-"""As fast as SUMO's cars are there: they stop within that distance at 4.5 m/s², their default braking."""
-CRAWL_MPS = 0.4
-"""As slow as that to the line, where SUMO stops whoever must wait."""
+"""How far before a way without priority drivers see who comes, unless the network says otherwise."""
+
+Place = tuple[float, float]
+"""Metres ahead of the host, and how slow it must be there, in m/s."""
 
 
 class Signal(NamedTuple):
@@ -38,9 +42,9 @@ class Signal(NamedTuple):
         return self.state in YELLOW
 
     @property
-    def stop_m(self) -> float:
-        """How far ahead the host stands while it waits."""
-        return self.ahead_m - STOP_SHORT_M
+    def stop(self) -> Place:
+        """Where the host stands while it waits."""
+        return self.ahead_m - SIGNAL_SHORT_M, 0.0
 
     def stops(self, speed_mps: float, *, braking_mps2: float) -> bool:
         """Return whether the host stops: at red, and at yellow if it would not get there in time; while it can."""
@@ -55,11 +59,19 @@ class GiveWay(NamedTuple):
     ahead_m: float
     """How far ahead it begins."""
     is_open: bool
-    """Whether SUMO would let the host through now: nobody comes who is in the way."""
+    """Whether SUMO would let the host through if it arrived now."""
+    sight_m: float = SIGHT_M
+    """How far before it the host sees who comes."""
+
+    def sight(self, *, braking_mps2: float) -> Place:
+        """Return where the host sees who comes, and from how fast it can stop then by such braking."""
+        return self.ahead_m - self.sight_m, math.sqrt(2 * braking_mps2 * max(self.sight_m - LINE_SHORT_M, 0.0))
 
     @property
-    def limit(self) -> tuple[float, float]:
-        """How far ahead the host must be how slow: to see who comes, or, where somebody does, to wait for them."""
-        if self.is_open:
-            return self.ahead_m - SIGHT_M, CAUTIOUS_MPS
-        return self.ahead_m - STOP_SHORT_M, CRAWL_MPS
+    def stop(self) -> Place:
+        """Where the host waits."""
+        return self.ahead_m - LINE_SHORT_M, CREEP_MPS
+
+    def stops(self, speed_mps: float, *, braking_mps2: float) -> bool:
+        """Return whether the host stops: if it may not go, and while it can."""
+        return not self.is_open and speed_mps**2 / (2 * braking_mps2) <= self.ahead_m

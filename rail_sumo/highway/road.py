@@ -4,7 +4,7 @@ import itertools
 import math
 import xml.sax
 from bisect import bisect_right
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property, lru_cache
 from pathlib import Path
@@ -29,9 +29,6 @@ SHORT_EDGE_M = 42.0
 
 CHANGE_LEFT, CHANGE_RIGHT = "changeLeft", "changeRight"
 """The attributes of a lane that list who may change from it."""
-
-GIVE_WAY = frozenset("m=swo")
-"""SUMO's letters for ways without priority: minor, equal, with a stop, all with one, at a signal's permission."""
 
 FORESIGHT_M = 500.0
 """How far ahead a speed limit is known: from 160 km/h to nothing it takes 494 m at 2 m/s²."""
@@ -90,7 +87,9 @@ class Road:
     """How long the way through the junction after each edge is; after a chain's last edge 0."""
     is_loop: bool
     gives_way: bool
-    """Whether anybody else may come first where it leads through a junction, by signals or by right of way."""
+    """Whether it leads through a junction without priority."""
+    sight_m: Mapping[str, float]
+    """How far before a junction drivers see who comes, where that is told, by the lane that they enter it on."""
     boundaries: Floats
     """(n_segments, 4): x1, y1, x2, y2 of the course's outer borders, in metres, read-only."""
 
@@ -171,7 +170,7 @@ def warnings(road: Road) -> Iterator[str]:
 
 @lru_cache(maxsize=32)
 def _load(path: Path, wanted: tuple[str, ...], state: tuple[int, int]) -> Road:
-    net = _read(path)
+    net, sight_m = _read(path)
     edges, is_loop = course.along(net, path.name, wanted) if wanted else course.longest(net, path.name)
     joints = [connections(here, ahead) for here, ahead in itertools.pairwise(edges)]
     joints.append(connections(edges[-1], edges[0]) if is_loop else [])
@@ -186,15 +185,19 @@ def _load(path: Path, wanted: tuple[str, ...], state: tuple[int, int]) -> Road:
         ),
         junctions_m=junctions_m,
         is_loop=is_loop,
-        gives_way=any(c.getState() in GIVE_WAY for joint in joints for c in joint),
+        gives_way=not all(c.getState().isupper() for joint in joints for c in joint),  # a small letter or =
+        sight_m=sight_m,
         boundaries=boundaries,
     )
 
 
 class _Reader(sumolib.net.NetReader):
-    """Reads also what sumolib leaves out: on which side to drive, and who may change lanes."""
+    """Reads also what sumolib leaves out: on which side to drive, who may change lanes, and how far drivers see."""
 
-    is_left_hand = False
+    def __init__(self) -> None:
+        super().__init__(withInternal=True, withFoes=False)
+        self.is_left_hand = False
+        self.sight_m: dict[str, float] = {}
 
     def startElement(self, name: str, attrs: Any) -> None:
         self.is_left_hand = self.is_left_hand or (name == "net" and attrs.get("lefthand") == "true")
@@ -202,11 +205,13 @@ class _Reader(sumolib.net.NetReader):
         for side in (CHANGE_LEFT, CHANGE_RIGHT) if name == "lane" else ():
             if side in attrs:
                 self._currentLane.setParam(side, attrs[side])
+        if name == "connection" and "visibility" in attrs and "via" in attrs:
+            self.sight_m[attrs["via"]] = float(attrs["visibility"])
 
 
-def _read(path: Path) -> Any:
+def _read(path: Path) -> tuple[Any, dict[str, float]]:
     # Not sumolib.net.readNet: it picks another parser when lxml is installed and leaves files open after an error.
-    reader = _Reader(withInternal=True, withFoes=False)
+    reader = _Reader()
     try:
         with opened(path) as stream:
             xml.sax.parse(stream, reader)
@@ -221,7 +226,7 @@ def _read(path: Path) -> Any:
         raise InputError(
             f"network '{path.name}' has no edges; rail-sumo reads SUMO's .net.xml, and by --network a .sumocfg"
         )
-    return net
+    return net, reader.sight_m
 
 
 def _reason(error: Exception) -> str:

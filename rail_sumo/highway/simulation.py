@@ -218,6 +218,8 @@ class Simulation:
             self.host.hold_below(self.host.fastest_mps)
         self.host.begin()
 
+    # What is around the host.
+
     def scene(self) -> Scene:
         """Return the host and every vehicle within the context's reach, east or west, north or south.
 
