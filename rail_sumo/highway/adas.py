@@ -102,7 +102,8 @@ class Adas:
 
     def command(self, host: HostState, gaps: Callable[[int], Gaps], *, steps: int) -> Command:
         """Return what to do next, for at most `steps` steps: as many as need no fresh look."""
-        speed = max(self._set_speed, _comfortable(host, self._config))
+        comfortable = host.speed_mps - self._config.comfort_braking_mps2 * SECONDS_PER_STEP
+        speed = max(self._set_speed, comfortable)
         limited = _within_limits(speed, host, self._config, steps=1)
         if self._side is not None:
             return self._sideways(self._side, limited, host, gaps)
@@ -202,11 +203,6 @@ class Adas:
         return 0
 
 
-def _comfortable(host: HostState, config: config.Adas) -> float:
-    """Return the lowest speed after the next step that comfortable braking comes down to."""
-    return host.speed_mps - config.comfort_braking_mps2 * SECONDS_PER_STEP
-
-
 def _within_limits(speed_mps: float, host: HostState, config: config.Adas, *, steps: int) -> float:
     """Return a speed, lowered as far as it must so that in so many steps the host keeps to every limit and stop.
 
@@ -217,7 +213,7 @@ def _within_limits(speed_mps: float, host: HostState, config: config.Adas, *, st
     seconds = steps * SECONDS_PER_STEP
     fastest = max(host.speed_mps, min(speed_mps, host.speed_mps + config.acceleration_mps2 * seconds))
     travel_m = fastest * seconds
-    allowed = [speed_mps, max(host.limit_mps, _comfortable(host, config))]
+    allowed = [speed_mps, _approaching(host.limit_mps, host, 0.0, travel_m, comfort)]
     for beyond_m, limit in host.limits_ahead:
         allowed.append(_approaching(limit, host, host.to_edge_end_m + beyond_m, travel_m, comfort))
     for ahead_m, slow in host.stops_ahead:

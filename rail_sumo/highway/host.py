@@ -8,7 +8,7 @@ import libsumo
 from rail_sumo import config
 from rail_sumo.highway.demand import HOST
 from rail_sumo.highway.right_of_way import NOT_GREEN, SIGHT_M, GiveWay, Place, Signal
-from rail_sumo.highway.road import Road
+from rail_sumo.highway.road import Edge, Road
 from rail_sumo.records import KMH, Command, Gaps, HostState
 
 HOST_TYPE = HOST
@@ -42,7 +42,7 @@ class Host:
 
     def __init__(self, road: Road, adas: config.Adas) -> None:
         self._adas = adas
-        self._edges = {edge.id: edge for edge in road.edges}
+        self._edges = road.edge_of
         self._has_signals = bool(libsumo.trafficlight.getIDList())
         self._meets_others = self._has_signals or road.gives_way
         self._sight_m = road.sight_m
@@ -107,9 +107,9 @@ class Host:
         The limit is that of the lane it is on, as it is now; those ahead are the network's, and what right of way asks.
         """
         vehicle = libsumo.vehicle
-        careful, stops = self._places()
         edge = self._edges.get(vehicle.getRoadID(HOST))
         speed, lane = vehicle.getSpeed(HOST), vehicle.getLaneIndex(HOST)
+        careful, stops = self._places(speed)
         limit = libsumo.lane.getMaxSpeed(vehicle.getLaneID(HOST))
         if edge is None or lane not in (lanes := edge.lanes):  # on a junction, or strayed
             ahead = (*self._limits_beyond_this_lane(), *careful)
@@ -133,14 +133,16 @@ class Host:
 
     def _limits_beyond_this_lane(self) -> tuple[tuple[float, float], ...]:
         """Return the limits of the edge that comes next, and beyond it, with the metres from here to each."""
-        way = way_of(HOST)
-        ahead = self._edges.get(way[1]) if len(way) > 1 else None
+        ahead, to_it_m = self._next_edge(), _to_lane_end_m()
         if ahead is None:
             return ()
-        vehicle = libsumo.vehicle
-        to_it_m = libsumo.lane.getLength(vehicle.getLaneID(HOST)) - vehicle.getLanePosition(HOST)
         beyond = ((to_it_m + ahead.length_m + metres, limit) for metres, limit in ahead.limits_ahead)
         return (to_it_m, ahead.limit_mps), *beyond
+
+    def _next_edge(self) -> Edge | None:
+        """Return the edge of the course after the one that it is on, or was on before the junction."""
+        way = way_of(HOST)
+        return self._edges.get(way[1]) if len(way) > 1 else None
 
     def _signals(self) -> list[Signal]:
         """Return the signals that the host may have to brake for by now, the nearest first."""
@@ -154,10 +156,10 @@ class Host:
         """Return the ways without priority that the host may have to brake for by now, the nearest first."""
         if not self._meets_others:
             return []
-        length_of, here = libsumo.lane.getLength, libsumo.vehicle.getLaneID(HOST)
-        ahead_m = length_of(here) - libsumo.vehicle.getLanePosition(HOST)
-        if here.startswith(":"):  # on a junction: SUMO's list begins beyond the edge after it
-            ahead_m += sum(self._edges[edge].length_m for edge in way_of(HOST)[1:2] if edge in self._edges)
+        ahead_m = _to_lane_end_m()
+        on_junction = libsumo.vehicle.getLaneID(HOST).startswith(":")
+        if on_junction and (edge_after := self._next_edge()):  # SUMO's list begins beyond it
+            ahead_m += edge_after.length_m
         found, entered = [], ""
         for lane, has_priority, is_open, _, via, state, _, inside_m in libsumo.vehicle.getNextLinks(HOST):
             if ahead_m > self._heeds_m:
@@ -167,17 +169,16 @@ class Host:
                 continue
             if not has_priority and state not in NOT_GREEN:
                 found.append(GiveWay(ahead_m, is_open, self._sight_m.get(via, SIGHT_M)))
-            ahead_m += inside_m + length_of(lane)
+            ahead_m += inside_m + libsumo.lane.getLength(lane)
             entered = edge
         return found
 
-    def _places(self) -> tuple[list[Place], list[Place]]:
+    def _places(self, speed_mps: float) -> tuple[list[Place], list[Place]]:
         """Return where right of way asks the host to be slow: limits to see others from, and stops for them."""
-        speed, adas = libsumo.vehicle.getSpeed(HOST), self._adas
-        give_ways = self._give_ways()
+        adas, give_ways = self._adas, self._give_ways()
         limits = [way.sight(braking_mps2=adas.comfort_braking_mps2) for way in give_ways]
         meets: list[Signal | GiveWay] = [*self._signals(), *give_ways]
-        return limits, [one.stop for one in meets if one.stops(speed, braking_mps2=adas.emergency_braking_mps2)]
+        return limits, [one.stop for one in meets if one.stops(speed_mps, braking_mps2=adas.emergency_braking_mps2)]
 
     def gaps(self, side: int) -> Gaps:
         """Return the gaps in the host's own lane (0) or the one to its left (+1) or right (-1)."""
@@ -216,7 +217,7 @@ class Host:
         if command.lateral_m != self._lateral_m:
             vehicle.setLateralLanePosition(HOST, command.lateral_m)
             self._lateral_m = command.lateral_m
-        self._shown = self._shows()
+        self._shown = self._shows(signals)
         self._is_unsure = drives_on or any(signal.is_yellow for signal in signals)
 
     @property
@@ -225,11 +226,11 @@ class Host:
 
         So it does while a signal is yellow or passed though it is not green, and when what is ahead has changed.
         """
-        return self._meets_others and (self._is_unsure or self._shows() != self._shown)
+        return self._meets_others and (self._is_unsure or self._shows(self._signals()) != self._shown)
 
-    def _shows(self) -> list[str | bool]:
+    def _shows(self, signals: Sequence[Signal]) -> list[str | bool]:
         """Return what signals on the host's way show, and which ways without priority are open."""
-        return [signal.state for signal in self._signals()] + [give_way.is_open for give_way in self._give_ways()]
+        return [*(signal.state for signal in signals), *(give_way.is_open for give_way in self._give_ways())]
 
     def note(self) -> None:
         """Note what the last step has come to."""
@@ -250,6 +251,10 @@ class Host:
     def contact(self) -> bool:
         """Whether the host has struck or been struck."""
         return bool(self.collisions or self.struck)
+
+
+def _to_lane_end_m() -> float:
+    return libsumo.lane.getLength(libsumo.vehicle.getLaneID(HOST)) - libsumo.vehicle.getLanePosition(HOST)
 
 
 def way_of(name: str) -> Sequence[str]:

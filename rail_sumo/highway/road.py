@@ -99,6 +99,11 @@ class Road:
         return self._starts_m[-1]
 
     @cached_property
+    def edge_of(self) -> Mapping[str, Edge]:
+        """Its edges by their ids."""
+        return {edge.id: edge for edge in self.edges}
+
+    @cached_property
     def _starts_m(self) -> tuple[float, ...]:
         # Where each edge starts, and at last where the course ends.
         strides = (edge.length_m + junction for edge, junction in zip(self.edges, self.junctions_m, strict=True))

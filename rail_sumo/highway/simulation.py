@@ -78,7 +78,7 @@ class Simulation:
         self._context_m = context_m
         self._sizes: dict[str, tuple[float, float]] = {}
         self._routes: dict[tuple[str, ...], str] = {}
-        self._edges = {edge.id: edge for edge in road.edges}
+        self._edges = road.edge_of
         self._held: dict[str, int] = {}  # who may not change lanes now, with the lane-change mode to give back
         self._prefix = f"{OURS}{os.getpid()}_"
         self._written = folders_written(additional)
