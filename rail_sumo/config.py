@@ -12,7 +12,7 @@ import tomli_w
 from pydantic import BaseModel, ConfigDict, Field, ValidationError, model_validator
 
 from rail_sumo.errors import InputError, did_you_mean
-from rail_sumo.records import SECONDS_PER_STEP
+from rail_sumo.records import KMH, SECONDS_PER_STEP
 
 Positive = Annotated[float, Field(gt=0.0, allow_inf_nan=False)]
 NonNegative = Annotated[float, Field(ge=0.0, allow_inf_nan=False)]
@@ -79,6 +79,8 @@ class Traffic(_Section):
     """The lowest desired speed; they are drawn evenly."""
     speed_high_kmh: Positive = 70.0
     """The highest."""
+    car_following: Literal["Krauss", "IDM", "EIDM", "W99"] = "Krauss"
+    """SUMO's car-following model that drives the moving window's vehicles; each decides every 0.5 s."""
     lane_change_every_s: Limit = 30.0
     """Mean time between one vehicle's tries to change lanes; inf for none. Nobody tries more often than every 2 s."""
     begin_s: NonNegative = 0.0
@@ -118,35 +120,50 @@ class Observation(_Section):
 class Adas(_Section):
     """The layer that carries the decisions out."""
 
-    min_speed_kmh: Positive = 40.0
-    """The lowest set speed; traffic, limits and right of way may make the host slower."""
-    max_speed_kmh: Positive = 80.0
-    """The highest."""
+    max_speed_kmh: Positive | Literal["limit"] = "limit"
+    """The highest set speed: the speed limit where the host is, or a number. Beyond the limit it does not drive."""
+    min_speed_kmh: Positive | Literal["limit/2"] = "limit/2"
+    """The lowest set speed: half the limit, or a number. Traffic, limits and right of way may make the host slower."""
+    start_speed_kmh: Positive | Literal["limit*3/4"] = "limit*3/4"
+    """The speed at which the host enters, and its first set speed: three quarters of the limit, or a number. Into your
+    own demand it enters as fast as the traffic there drives, unless this is a number."""
     speed_step_kmh: Positive = 5.0
     """What accelerate and decelerate add to the present speed, or take from it, to get the set speed."""
-    start_speed_kmh: Positive = 60.0
-    """At which the host enters."""
     acceleration_mps2: Positive = 2.0
     comfort_braking_mps2: Positive = 2.0
-    """For a lower set speed, for speed limits, and for signals and others who have right of way."""
+    """For everything that is in sight in time: traffic ahead, a lower set speed, limits, signals, right of way."""
     emergency_braking_mps2: Annotated[float, Field(gt=0.0, le=9.0)] = 9.0
-    """The hardest, for whatever is ahead."""
+    """The hardest, when somebody cuts in or brakes hard."""
     time_gap_s: Annotated[float, Field(ge=1.0, le=5.0)] = 1.0
-    """To the vehicle ahead."""
+    """The time gap that the host keeps to the vehicle ahead."""
     standstill_gap_m: Annotated[float, Field(ge=1.0, le=10.0)] = 2.0
     """... on top of the time gap."""
     lateral_speed_mps: Annotated[float, Field(ge=0.5, le=3.0)] = 1.7
     """Sideways, while changing lanes."""
 
+    def highest_mps(self, limit_mps: float) -> float:
+        """Return the highest set speed where this is the limit."""
+        return limit_mps if self.max_speed_kmh == "limit" else self.max_speed_kmh / KMH
+
+    def lowest_mps(self, limit_mps: float) -> float:
+        """Return the lowest set speed where this is the limit; never above the highest."""
+        lowest = limit_mps / 2 if self.min_speed_kmh == "limit/2" else self.min_speed_kmh / KMH
+        return min(lowest, self.highest_mps(limit_mps))
+
+    def start_mps(self, limit_mps: float) -> float:
+        """Return the first set speed where this is the limit."""
+        start = limit_mps * 3 / 4 if self.start_speed_kmh == "limit*3/4" else self.start_speed_kmh / KMH
+        return min(max(start, self.lowest_mps(limit_mps)), self.highest_mps(limit_mps))
+
     @model_validator(mode="after")
     def _ordered(self) -> "Adas":
-        if self.min_speed_kmh >= self.max_speed_kmh:
-            raise ValueError(f"min_speed_kmh {self.min_speed_kmh} must be below max_speed_kmh {self.max_speed_kmh}")
-        if not self.min_speed_kmh <= self.start_speed_kmh <= self.max_speed_kmh:
-            raise ValueError(
-                f"start_speed_kmh {self.start_speed_kmh} must lie between min_speed_kmh {self.min_speed_kmh} "
-                f"and max_speed_kmh {self.max_speed_kmh}"
-            )
+        lowest, start, highest = self.min_speed_kmh, self.start_speed_kmh, self.max_speed_kmh
+        if not isinstance(lowest, str) and not isinstance(highest, str) and lowest >= highest:
+            raise ValueError(f"min_speed_kmh {lowest} must be below max_speed_kmh {highest}")
+        if not isinstance(lowest, str) and not isinstance(start, str) and start < lowest:
+            raise ValueError(f"start_speed_kmh {start} must not be below min_speed_kmh {lowest}")
+        if not isinstance(highest, str) and not isinstance(start, str) and start > highest:
+            raise ValueError(f"start_speed_kmh {start} must not be above max_speed_kmh {highest}")
         if self.comfort_braking_mps2 > self.emergency_braking_mps2:
             raise ValueError(
                 f"comfort_braking_mps2 {self.comfort_braking_mps2} is above emergency_braking_mps2 "

@@ -11,9 +11,11 @@ from safetensors import safe_open
 from rail_sumo import assets
 from rail_sumo.config import Adas, Config, first_difference, recorded
 from rail_sumo.errors import InputError, ObservationError, did_you_mean
+from rail_sumo.highway import acc
+from rail_sumo.highway.acc import Leader
 from rail_sumo.highway.env import HighwayEnv
 from rail_sumo.policy import Policy
-from rail_sumo.records import KMH, Floats, Gaps, MetaAction
+from rail_sumo.records import Floats, Gaps, MetaAction
 
 
 class Driver(Protocol):
@@ -45,32 +47,32 @@ class Random:
 class Rule:
     """Gap acceptance on the true neighbours: speeds up when free, overtakes where another lane is faster.
 
-    A lane's worth is the speed its leader lets the host drive, a change must gain `GAIN_MPS` (the incentive and
-    switching threshold of MOBIL, Kesting, Treiber & Helbing 2007; its safety criterion is the ADAS layer's gate).
+    A lane's worth is the speed that adaptive cruise control would allow the host behind its leader; a change must gain
+    `GAIN_MPS` (the incentive and switching threshold of MOBIL, Kesting, Treiber & Helbing 2007; its safety criterion is
+    the ADAS layer's gate).
     """
 
     GAIN_MPS = 1.0
-    HORIZON_S = 6.0
 
     def __init__(self, adas: Adas) -> None:
-        self._top = adas.max_speed_kmh / KMH
+        self._adas = adas
 
     def decide(self, observation: Floats, env: HighwayEnv) -> int:
         """Return the meta-action with the best prospect."""
         host, here, left, right = env.surroundings()
         mask = env.action_masks()
-        now = self._prospect(here)
-        sides = [(self._prospect(left), MetaAction.LEFT), (self._prospect(right), MetaAction.RIGHT)]
+        top = self._adas.highest_mps(host.limit_mps)
+        now = self._prospect(here, top)
+        sides = [(self._prospect(left, top), MetaAction.LEFT), (self._prospect(right, top), MetaAction.RIGHT)]
         best, side = max((side for side in sides if mask[side[1]]), default=(-math.inf, MetaAction.KEEP))
         if not env.is_changing_lane and best > now + self.GAIN_MPS:
             return side
-        if host.speed_mps < min(now, self._top) - 0.5:
+        if host.speed_mps < min(now, top) - 0.5:
             return MetaAction.ACCELERATE
         return MetaAction.KEEP
 
-    def _prospect(self, gaps: Gaps) -> float:
-        """Return the mean speed the leader allows over the horizon, at most the host's top speed."""
-        return min(self._top, gaps.ahead_speed_mps + max(0.0, gaps.ahead_m) / self.HORIZON_S)
+    def _prospect(self, gaps: Gaps, top_mps: float) -> float:
+        return min(top_mps, acc.allowed_mps(Leader(gaps.ahead_m, gaps.ahead_speed_mps), self._adas))
 
 
 class Expert:

@@ -6,6 +6,7 @@ from typing import Any
 import numpy as np
 
 from rail_sumo.config import Adas
+from rail_sumo.highway.hard_braking import hard_brakings
 from rail_sumo.highway.reward import lateral_reward, longitudinal_reward
 from rail_sumo.records import KMH, SECONDS_PER_STEP, Trajectory
 
@@ -28,13 +29,15 @@ def row(trajectory: Trajectory, adas: Adas) -> dict[str, Any]:
         "overtaken": trajectory.overtaken,
         "lane_changes": trajectory.lane_changes,
         "aborted_lane_changes": trajectory.aborted_lane_changes,
-        "longitudinal_reward": longitudinal_reward(speed_mps, adas),
+        "longitudinal_reward": longitudinal_reward(speed_mps, trajectory.limit_mps, adas),
         "lateral_reward": lateral_reward(trajectory.lane_changing),
         "collisions": trajectory.collisions,
         "struck": trajectory.struck,
         "refused_decisions": trajectory.refused_decisions,
         "min_ttc_s": trajectory.min_ttc_s,
         "hardest_braking_mps2": max(0.0, float(braking_mps2.max())),
+        "hard_brakings": hard_brakings(trajectory.speed_mps),
+        "hard_brakings_behind": trajectory.hard_brakings_behind,
         "end_reason": trajectory.end_reason,
     }
 

@@ -88,7 +88,7 @@ class Command:
     """What the host's actuators do for the next `steps` SUMO steps."""
 
     speed_mps: float
-    """Speed to approach, within the vehicle's own limits and never beyond the safe following speed."""
+    """The set speed, which adaptive cruise control and emergency braking lower; negative: SUMO's driver picks it."""
     lateral_m: float = 0.0
     """Offset from the centre of the lane the host is on (after `cross`), leftwards positive."""
     cross: int = 0
@@ -111,6 +111,8 @@ class Trajectory:
     """(n_decisions,): what came of it; of a lane change that was refused or under way already, KEEP."""
     speed_mps: Floats
     """(n_steps + 1,): the host's speed at the start and after every SUMO step."""
+    limit_mps: Floats
+    """(n_steps,): the speed limit where the host was when that step was commanded."""
     lane_changing: NDArray[np.bool_]
     """(n_steps,): whether a lane change was under way in that step."""
     overtakes: int
@@ -120,6 +122,8 @@ class Trajectory:
     refused_decisions: int
     collisions: int
     struck: int
+    hard_brakings_behind: int
+    """How often a vehicle braked hard behind the host within 5 s of the host's moving in front of it."""
     min_ttc_s: float
     """Smallest time to collision with the vehicle ahead; inf if the host never closed in on one."""
     end_reason: EndReason | None
@@ -148,6 +152,8 @@ EPISODE_COLUMNS: dict[str, str] = {
     "refused_decisions": "int64",
     "min_ttc_s": "float64",
     "hardest_braking_mps2": "float64",
+    "hard_brakings": "int64",
+    "hard_brakings_behind": "int64",
     "end_reason": "string",
 }
 """Columns of the `episodes` table, in order, with their pandas types."""

@@ -25,6 +25,7 @@ MIDDLE = HostState(
     to_left_m=LANE_M,
     to_right_m=LANE_M,
     leads_on_m=(math.inf,) * 5,
+    limit_mps=80.0 / KMH,
 )
 ENDING = (0.0, 0.0, 0.0, math.inf, math.inf)
 """The three right lanes lead nowhere; whoever drives there stays on the edge."""
@@ -96,7 +97,7 @@ class Road:
 
 @pytest.fixture
 def adas():
-    return Adas(config.Adas())
+    return Adas(config.Adas(), start_mps=60.0 / KMH)
 
 
 @pytest.fixture
@@ -267,7 +268,7 @@ def test_braking_for_a_stop_is_even():
 
 
 def adas_at(here, **changes):
-    return Adas(config.Adas()).command(at(**here, **changes), free, steps=1).speed_mps
+    return Adas(config.Adas(), start_mps=60.0 / KMH).command(at(**here, **changes), free, steps=1).speed_mps
 
 
 def test_sumos_own_driver_decides_its_speed_but_for_limits():
@@ -325,31 +326,32 @@ def test_a_change_into_a_free_lane_is_allowed_whatever_the_other_lanes_hold(adas
 @pytest.mark.parametrize(
     ("which", "speed_mps", "least_m"),
     [
-        # Standstill gap 2 m, the host's time gap of 1 s or half a second for the one behind, and the difference of the
-        # stopping distances.
+        # Standstill gap 2 m, the time gap at the slower speed (1 s for the host, half a second for the one behind), and
+        # the way to the leader's speed at 3.5 m/s².
         ("ahead", 20.0, 2 + 20),
         ("ahead", 30.0, 2 + 20),
-        ("ahead", 10.0, 2 + 20 + (20**2 - 10**2) / (2 * 9)),
-        ("ahead", 0.0, 2 + 20 + 20**2 / (2 * 9)),
+        ("ahead", 10.0, 2 + 10 + (20**2 - 10**2) / (2 * 3.5)),
+        ("ahead", 0.0, 2 + 20**2 / (2 * 3.5)),
         ("behind", 20.0, 2 + 10),
         ("behind", 10.0, 2 + 5),  # a slower one needs less time, never less than nothing
-        ("behind", 25.0, 2 + 12.5 + (25**2 - 20**2) / (2 * 4.5)),
+        ("behind", 25.0, 2 + 10 + (25**2 - 20**2) / (2 * 3.5)),
     ],
 )
-def test_the_gate_opens_at_gipps_distance_and_not_a_hair_before(which, speed_mps, least_m):
+def test_the_gate_opens_where_nobody_need_brake_beyond_3_5_mps2_and_not_a_hair_before(which, speed_mps, least_m):
     def allows(gap_m):
         gap = dataclasses.replace(FREE, **{f"{which}_m": gap_m, f"{which}_speed_mps": speed_mps})
-        return Adas(config.Adas()).allowed(MIDDLE, lambda side: gap)[LEFT]
+        return Adas(config.Adas(), start_mps=60.0 / KMH).allowed(MIDDLE, lambda side: gap)[LEFT]
 
     assert allows(least_m + 1e-6)
     assert not allows(least_m - 1e-6)
 
 
-def test_the_gate_counts_with_the_hosts_own_braking_time_gap_and_standstill_gap():
-    gap = dataclasses.replace(FREE, ahead_m=5 + 1.5 * 20 + 20**2 / (2 * 4) + 1e-6)
-    weak = config.Adas(emergency_braking_mps2=4.0, time_gap_s=1.5, standstill_gap_m=5.0)
-    assert Adas(weak).allowed(MIDDLE, lambda side: gap)[LEFT]
-    assert not Adas(weak).allowed(MIDDLE, lambda side: dataclasses.replace(gap, ahead_m=gap.ahead_m - 2e-6))[LEFT]
+def test_the_gate_counts_with_the_hosts_own_time_gap_and_standstill_gap():
+    gap = dataclasses.replace(FREE, ahead_m=5 + 1.5 * 10 + (20**2 - 10**2) / (2 * 3.5) + 1e-6, ahead_speed_mps=10.0)
+    careful = config.Adas(time_gap_s=1.5, standstill_gap_m=5.0)
+    nearer = dataclasses.replace(gap, ahead_m=gap.ahead_m - 2e-6)
+    assert Adas(careful, start_mps=20.0).allowed(MIDDLE, lambda side: gap)[LEFT]
+    assert not Adas(careful, start_mps=20.0).allowed(MIDDLE, lambda side: nearer)[LEFT]
 
 
 def test_a_vehicle_alongside_closes_the_gate(adas):
@@ -528,7 +530,7 @@ def test_a_lane_that_ends_beyond_the_next_edges_is_left_as_early(adas):
 def test_where_all_lanes_end_soon_the_host_makes_for_those_that_lead_on_farthest(adas):
     adas.decide(KEEP, at(lane=0, to_edge_end_m=100.0, leads_on_m=(0.0, 50.0, 150.0, 150.0, 50.0)), free)
     assert adas.side == 1
-    stays = Adas(config.Adas())
+    stays = Adas(config.Adas(), start_mps=60.0 / KMH)
     stays.decide(KEEP, at(lane=3, to_edge_end_m=100.0, leads_on_m=(0.0, 50.0, 150.0, 150.0, 50.0)), free)
     assert not stays.changing_lane
 
@@ -575,7 +577,7 @@ turns = st.lists(
 
 def drive(turns, lane=2):
     """Yield the road after every step of a drive through any decisions and any gaps."""
-    road = Road(Adas(config.Adas()), at(lane=lane))
+    road = Road(Adas(config.Adas(), start_mps=60.0 / KMH), at(lane=lane))
     for action, steps, (left, right) in turns:
         road.gaps = {1: left, -1: right}.__getitem__
         road.decide(action)
@@ -626,12 +628,14 @@ def test_whatever_happens_the_host_crosses_only_into_a_gap_that_is_safe_in_that_
     for road in drive(turns):
         cross = road.commands[-1].cross
         if cross:
-            assert Adas(config.Adas()).allowed(MIDDLE, lambda side, cross=cross, road=road: road.gaps(cross))[LEFT]
+            assert Adas(config.Adas(), start_mps=60.0 / KMH).allowed(
+                MIDDLE, lambda side, cross=cross, road=road: road.gaps(cross)
+            )[LEFT]
 
 
 @given(turns, st.sampled_from(MetaAction))
 def test_what_the_mask_allows_is_never_refused_and_a_forbidden_start_always_is(turns, action):
-    road = Road(Adas(config.Adas()))
+    road = Road(Adas(config.Adas(), start_mps=60.0 / KMH))
     for road in drive(turns):  # noqa: B007  the last one counts
         pass
     allowed, changing, refused = road.adas.allowed(road.host, road.gaps), road.adas.changing_lane, road.counts[2]

@@ -1,8 +1,7 @@
 """The layer between the supervisor and the vehicle: a meta-action and the host's surroundings become commands.
 
-Adaptive cruise control and emergency braking are the car-following model the host's vehicle type is given (see
-`simulation`): a set speed is approached within its limits and never beyond the safe following speed. What is decided
-here is the set speed and its comfortable ramp, and the lane change: its gap gate, its lateral path, its reversal.
+It decides the set speed with its comfortable ramp, and the lane change: its gap gate, its lateral path, its reversal.
+Following the vehicle ahead is adaptive cruise control (`acc`), which acts at every SUMO step below the set speed.
 """
 
 import math
@@ -17,8 +16,8 @@ LATE_LATERAL_M = 0.25
 sees the host only from then on, and with this margin two cars 1.8 m wide cannot have touched before."""
 FOLLOWER_TIME_GAP_S = 0.5
 """Time gap that the gate leaves to the vehicle behind."""
-FOLLOWER_BRAKING_MPS2 = 4.5
-"""Braking that the gate may ask of the vehicle behind: SUMO's default comfortable deceleration."""
+GATE_BRAKING_MPS2 = 3.5
+"""The hardest braking that a lane change may cost the host behind its new leader, or its new follower."""
 
 LEAVE_LANE_M = 300.0
 """How far before its end the host leaves a lane that does not lead on along its course."""
@@ -38,11 +37,15 @@ class Adas:
     A lane change moves the host sideways at `lateral_speed_mps`, even from a standstill, or it could not leave a lane
     at whose end it waits. Until it is complete a decision for the other side reverses it, and so does the layer itself
     while the gap closes before the host has crossed over.
+
+    Args:
+        config: its limits.
+        start_mps: the first set speed.
     """
 
-    def __init__(self, config: config.Adas) -> None:
+    def __init__(self, config: config.Adas, *, start_mps: float) -> None:
         self._config = config
-        self._set_speed = config.start_speed_kmh / KMH
+        self._set_speed = start_mps
         self._side: Side | None = None  # the side of the change under way, None while keeping the lane
         self._width = 0.0  # lateral distance from lane centre to lane centre of the change under way
         self._border = 0.0  # ... and to the border between the two lanes
@@ -88,9 +91,9 @@ class Adas:
         carried_out = action
         step = self._config.speed_step_kmh / KMH
         if action is MetaAction.ACCELERATE:
-            self._set_speed = self._clip(host.speed_mps + step)
+            self._set_speed = host.speed_mps + step
         elif action is MetaAction.DECELERATE:
-            self._set_speed = self._clip(host.speed_mps - step)
+            self._set_speed = host.speed_mps - step
         elif action is not MetaAction.KEEP and not self._steer(
             LEFT if action is MetaAction.LEFT else RIGHT, host, gaps
         ):
@@ -102,16 +105,16 @@ class Adas:
 
     def command(self, host: HostState, gaps: Callable[[int], Gaps], *, steps: int) -> Command:
         """Return what to do next, for at most `steps` steps: as many as need no fresh look."""
-        comfortable = host.speed_mps - self._config.comfort_braking_mps2 * SECONDS_PER_STEP
-        speed = max(self._set_speed, comfortable)
+        set_speed = self._within_range(self._set_speed, host.limit_mps)
+        speed = max(set_speed, host.speed_mps - self._config.comfort_braking_mps2 * SECONDS_PER_STEP)
         limited = _within_limits(speed, host, self._config, steps=1)
         if self._side is not None:
             return self._sideways(self._side, limited, host, gaps)
-        stays = speed == self._set_speed == _within_limits(speed, host, self._config, steps=steps)
+        stays = speed == set_speed == _within_limits(speed, host, self._config, steps=steps)
         return Command(limited, steps=steps if stays else 1)
 
-    def _clip(self, speed_mps: float) -> float:
-        return min(max(speed_mps, self._config.min_speed_kmh / KMH), self._config.max_speed_kmh / KMH)
+    def _within_range(self, speed_mps: float, limit_mps: float) -> float:
+        return min(max(speed_mps, self._config.lowest_mps(limit_mps)), self._config.highest_mps(limit_mps))
 
     def _steer(self, side: Side, host: HostState, gaps: Callable[[int], Gaps]) -> bool:
         """Begin a lane change or turn the one under way round, and return whether this was done."""
@@ -159,20 +162,15 @@ class Adas:
         """
         seconds = across_m / self._config.lateral_speed_mps
         faster = self._config.acceleration_mps2 if host.ends_in_m(host.lane) > host.to_edge_end_m else 0.0
-        fastest = max(host.speed_mps, self._config.max_speed_kmh / KMH)
+        fastest = max(host.speed_mps, self._config.highest_mps(host.limit_mps))
         return host.to_edge_end_m >= min(host.speed_mps + 0.5 * faster * seconds, fastest) * seconds
 
     def _safe(self, speed_mps: float, gap: Gaps) -> bool:
-        """The gate: the host's ACC need not brake behind its new leader, nor the new follower brake hard.
-
-        Each gap must hold the standstill gap, a reaction time and, when the one behind is the faster, the difference
-        of the stopping distances v^2 / (2 b) (Gipps 1981; for the host that is where Krauss's safe speed is its own).
-        """
-        ahead = _stopping_gap(speed_mps, gap.ahead_speed_mps, self._config.emergency_braking_mps2)
-        ahead += self._config.standstill_gap_m + self._config.time_gap_s * speed_mps
-        behind = _stopping_gap(gap.behind_speed_mps, speed_mps, FOLLOWER_BRAKING_MPS2)
-        behind += self._config.standstill_gap_m + FOLLOWER_TIME_GAP_S * gap.behind_speed_mps
-        return gap.ahead_m >= ahead and gap.behind_m >= behind
+        """The gate: neither the host behind its new leader nor the new follower needs to brake hard."""
+        ahead = _gap_needed(speed_mps, gap.ahead_speed_mps, self._config.time_gap_s)
+        behind = _gap_needed(gap.behind_speed_mps, speed_mps, FOLLOWER_TIME_GAP_S)
+        standstill = self._config.standstill_gap_m
+        return gap.ahead_m >= standstill + ahead and gap.behind_m >= standstill + behind
 
     def _sideways(self, side: Side, speed: float, host: HostState, gaps: Callable[[int], Gaps]) -> Command:
         """One step of the change under way."""
@@ -252,9 +250,13 @@ def _way_on(host: HostState) -> Side | None:
     return LEFT if min(goals, key=lambda lane: abs(lane - host.lane)) > host.lane else RIGHT
 
 
-def _stopping_gap(speed_mps: float, leader_mps: float, braking_mps2: float) -> float:
-    """Return how much farther the one behind needs to stop than its leader, both braking alike; never negative."""
-    return max(0.0, speed_mps**2 - leader_mps**2) / (2 * braking_mps2)
+def _gap_needed(speed_mps: float, leader_mps: float, time_gap_s: float) -> float:
+    """Return the gap from which a vehicle comes to its time gap behind its leader by even braking of the gate's size.
+
+    T w + (v^2 - w^2) / (2 b) behind a leader of speed w; T v behind a faster one.
+    """
+    slower = min(speed_mps, leader_mps)
+    return time_gap_s * slower + (speed_mps**2 - slower**2) / (2 * GATE_BRAKING_MPS2)
 
 
 class HandsOff:
@@ -287,6 +289,6 @@ class HandsOff:
         same_edge = last is not None and 0.0 < host.to_edge_end_m <= last.to_edge_end_m  # 0 on a junction
         self.changing_lane = last is not None and same_edge and host.lane != last.lane
         self.lane_changes += self.changing_lane
-        fastest = self._config.max_speed_kmh / KMH
+        fastest = self._config.highest_mps(host.limit_mps)
         limited = _within_limits(fastest, host, self._config, steps=1)
         return Command(limited if limited < fastest else SUMO_DECIDES)

@@ -10,6 +10,7 @@ import gymnasium
 import numpy as np
 from gymnasium import spaces
 
+from rail_sumo.config import Adas as AdasConfig
 from rail_sumo.config import Config
 from rail_sumo.errors import InputError
 from rail_sumo.highway import demand, road, sumo_errors
@@ -18,6 +19,7 @@ from rail_sumo.highway.lidar import Boxes, Lidar
 from rail_sumo.highway.observation import Layout
 from rail_sumo.highway.passing import NEAR_M, PassCounter
 from rail_sumo.highway.reward import reward
+from rail_sumo.highway.road import Road
 from rail_sumo.highway.simulation import HOST, Simulation
 from rail_sumo.highway.traffic import MovingWindow
 from rail_sumo.records import KMH, SECONDS_PER_STEP, EndReason, Floats, Gaps, HostState, MetaAction, Scene, Trajectory
@@ -29,6 +31,8 @@ STANDSTILL_STEPS = 3000
 """A host that has not moved for this many steps (five minutes) will not: the episode ends."""
 VEHICLE_M = 20.0
 """No vehicle reaches farther than this from its front bumper, by which SUMO places it."""
+HIGHEST_LIMIT_MPS = 250.0 / KMH
+"""Networks write a higher limit where a road has none."""
 DEMAND_START_M = 10.0
 """Place on the course where the host enters the user's own traffic."""
 
@@ -61,7 +65,8 @@ class HighwayEnv(gymnasium.Env[Floats, np.int64]):
         self.observation_space = spaces.Box(*self._layout.bounds, dtype=np.float64)
         self.action_space = spaces.Discrete(len(MetaAction))
         self._period_steps = round(self.config.episode.decision_period_s / SECONDS_PER_STEP)
-        closes_m = self.config.episode.decision_period_s * self.config.adas.max_speed_kmh / KMH
+        self.fastest_mps = _fastest_mps(self._road, self.config.adas)
+        closes_m = self.config.episode.decision_period_s * self.fastest_mps
         self._near_m = max(NEAR_M, closes_m + VEHICLE_M)
         self._start_m = DEMAND_START_M if self._demand else self.config.traffic.behind_m + MARGIN_M
         self._overrun_m = MARGIN_M + closes_m
@@ -82,7 +87,6 @@ class HighwayEnv(gymnasium.Env[Floats, np.int64]):
         super().reset(seed=seed)
         self.close()
         self._seed = int(self.np_random.integers(2**31)) if seed is None else seed
-        self._adas = HandsOff(self.config.adas) if self._hands_off else Adas(self.config.adas)
         self._passes = PassCounter(self._near_m)
         self._layout.reset()
         self._overtakes = self._overtaken = 0
@@ -90,6 +94,7 @@ class HighwayEnv(gymnasium.Env[Floats, np.int64]):
         self._actions: list[int] = []
         self._carried_out: list[int] = []
         self._lane_changing: list[bool] = []
+        self._limits_mps: list[float] = []
         self._end = None
         self._open(np.random.default_rng(self._seed))
         return self._look(0), {}
@@ -105,14 +110,19 @@ class HighwayEnv(gymnasium.Env[Floats, np.int64]):
             additional=self._additional,
             begin_s=traffic.begin_s,
             adas=adas,
+            fastest_mps=self.fastest_mps,
+            car_following=traffic.car_following,
             seed=self._seed,
             context_m=max(self.config.lidar.max_range_m, self._near_m) + VEHICLE_M,
             outputs=self._outputs,
         )
-        lanes = lanes_leading_on(self._road.edges[place[0]].ends_in_m(place[1]))
+        edge = self._road.edges[place[0]]
+        start_mps = adas.start_mps(edge.limit_mps)
+        self._adas = HandsOff(adas) if self._hands_off else Adas(adas, start_mps=start_mps)
+        lanes = lanes_leading_on(edge.ends_in_m(place[1]))
         lane = lanes[int(rng.integers(len(lanes)))]
         episode = self.config.episode
-        farthest_m = min(episode.course_m, episode.duration_s * adas.max_speed_kmh / KMH) + self._overrun_m
+        farthest_m = min(episode.course_m, episode.duration_s * self.fastest_mps) + self._overrun_m
         edges = self._road.laps(place[0], place[1] + farthest_m)
         if self._demand:
             simulation.run_without_host(traffic.warm_up_s)
@@ -121,7 +131,10 @@ class HighwayEnv(gymnasium.Env[Floats, np.int64]):
                     f"no vehicle of the demand is on the road at {traffic.begin_s + traffic.warm_up_s:.0f} s; set "
                     f"traffic.begin_s to a time with traffic, or lengthen traffic.warm_up_s"
                 )
-        simulation.add_host(edges, lane=lane, front_m=place[1], speed_mps=adas.start_speed_kmh / KMH)
+        enters_mps = start_mps
+        if self._demand and adas.start_speed_kmh == "limit*3/4":
+            enters_mps = simulation.traffic_mps(edge.id, place[1]) or start_mps
+        simulation.add_host(edges, lane=lane, front_m=place[1], speed_mps=enters_mps)
         self._window: MovingWindow | None = None
         if not self._demand:
             self._window = MovingWindow(
@@ -141,6 +154,7 @@ class HighwayEnv(gymnasium.Env[Floats, np.int64]):
         observation, driven = self.drive(int(action))
         earned = reward(
             np.array(simulation.host.speeds_mps[-driven:]),
+            np.array(self._limits_mps[-driven:]),
             np.array(self._lane_changing[-driven:]),
             self.config.adas,
             overtakes=self._overtakes - before[0],
@@ -174,6 +188,7 @@ class HighwayEnv(gymnasium.Env[Floats, np.int64]):
             steps = simulation.run(command)
             driven += steps
             self._lane_changing += [was_changing] * steps
+            self._limits_mps += [host.limit_mps] * steps
             ended_change = was_changing and not adas.changing_lane
             if driven >= due or ended_change or simulation.host.contact:
                 break
@@ -283,6 +298,7 @@ class HighwayEnv(gymnasium.Env[Floats, np.int64]):
             actions=np.array(self._actions, dtype=np.int64),
             carried_out=np.array(self._carried_out, dtype=np.int64),
             speed_mps=np.array(self._simulation.host.speeds_mps),
+            limit_mps=np.array(self._limits_mps),
             lane_changing=np.array(self._lane_changing, dtype=np.bool_),
             overtakes=self._overtakes,
             overtaken=self._overtaken,
@@ -291,6 +307,7 @@ class HighwayEnv(gymnasium.Env[Floats, np.int64]):
             refused_decisions=self._adas.refused_decisions,
             collisions=self._simulation.host.collisions,
             struck=self._simulation.host.struck,
+            hard_brakings_behind=self._simulation.host.hard_brakings_behind,
             min_ttc_s=self._simulation.host.min_ttc_s,
             end_reason=self._end,
             seed=self._seed,
@@ -302,6 +319,32 @@ class HighwayEnv(gymnasium.Env[Floats, np.int64]):
         if self._simulation is not None:
             self._simulation.close()
             self._simulation = None
+
+
+def _fastest_mps(course: Road, adas: AdasConfig) -> float:
+    """Return the host's highest set speed on its course.
+
+    Raises:
+        InputError: a limit, or a range of set speeds, with which nobody can drive.
+    """
+    for edge in course.edges:
+        if edge.limit_mps <= 0.0:
+            raise InputError(
+                f"network '{course.name}': edge '{edge.id}' has a speed limit of {edge.limit_mps * KMH:.0f} km/h; "
+                f"correct the network, or lead network.course around it"
+            )
+        if adas.max_speed_kmh == "limit" and edge.limit_mps > HIGHEST_LIMIT_MPS:
+            raise InputError(
+                f"network '{course.name}': edge '{edge.id}' has a speed limit of {edge.limit_mps * KMH:.0f} km/h, "
+                f"which is none; name the host's highest set speed, for example by --set adas.max_speed_kmh=130"
+            )
+    limit_mps = max(edge.limit_mps for edge in course.edges)
+    if adas.lowest_mps(limit_mps) >= adas.highest_mps(limit_mps):
+        raise InputError(
+            f"network '{course.name}': adas.min_speed_kmh {adas.min_speed_kmh} is not below the highest set speed on "
+            f"the course, {adas.highest_mps(limit_mps) * KMH:.0f} km/h; lower it, or leave it out for half the limit"
+        )
+    return adas.highest_mps(limit_mps)
 
 
 gymnasium.register("RailSumo/Highway-v0", entry_point="rail_sumo.highway.env:HighwayEnv")

@@ -1,15 +1,20 @@
 """The host on SUMO: what its sensors and its ADAS layer can know, how it obeys, and what becomes of it."""
 
 import math
+from collections import deque
 from collections.abc import Sequence
+from typing import NamedTuple
 
 import libsumo
 
 from rail_sumo import config
+from rail_sumo.highway import acc
+from rail_sumo.highway.acc import Leader
 from rail_sumo.highway.demand import HOST
+from rail_sumo.highway.hard_braking import hard_brakings
 from rail_sumo.highway.right_of_way import NOT_GREEN, SIGHT_M, GiveWay, Place, Signal
 from rail_sumo.highway.road import Edge, Road
-from rail_sumo.records import KMH, Command, Gaps, HostState
+from rail_sumo.records import SECONDS_PER_STEP, Command, Gaps, HostState
 
 HOST_TYPE = HOST
 """The id of its vehicle type."""
@@ -27,9 +32,24 @@ SUMO_SPEED_MODE = 31
 IGNORE_SIGNALS = 15
 """Speed mode: the same, but for signals."""
 
-LEADER_RANGE_M = 100.0
+AEB_TIME_GAP_S = 0.5
+"""What emergency braking keeps to the vehicle ahead: less than adaptive cruise control does, which it is not to
+disturb. SUMO keeps clear of contacts as long as this is no shorter than a step."""
+EXPECTED_BRAKING_MPS2 = 4.5
+"""The braking of the host that others reckon with."""
+BEHIND_LEFT, AHEAD_LEFT, BEHIND_RIGHT, AHEAD_RIGHT = 0, 2, 1, 3
+"""SUMO's modes of `getNeighbors`."""
+WATCH_STEPS = 50
+"""How long the vehicle behind is watched after the host has moved in front of it: 5 s."""
 SLACK_M = 100.0
 """Junctions are heeded from this much farther away than the host needs to stop comfortably from its highest speed."""
+
+
+class _Watched(NamedTuple):
+    """A vehicle that the host has moved in front of."""
+
+    name: str
+    speeds_mps: list[float]
 
 
 class Host:
@@ -38,65 +58,73 @@ class Host:
     Args:
         road: its course.
         adas: limits of its car-following (ACC and AEB).
+        fastest_mps: its highest set speed on the course.
     """
 
-    def __init__(self, road: Road, adas: config.Adas) -> None:
+    def __init__(self, road: Road, adas: config.Adas, fastest_mps: float) -> None:
         self._adas = adas
+        self.fastest_mps = fastest_mps
         self._edges = road.edge_of
         self._has_signals = bool(libsumo.trafficlight.getIDList())
         self._meets_others = self._has_signals or road.gives_way
         self._sight_m = road.sight_m
-        self._heeds_m = self.fastest_mps**2 / (2 * adas.comfort_braking_mps2) + SLACK_M
+        self._heeds_m = acc.braking_distance_m(fastest_mps, adas.comfort_braking_mps2) + SLACK_M
         self._drives_on = False  # past the next signal, though it is not green
         self._shown: list[str | bool] = []  # when the host last looked
         self._is_unsure = False
         self._lateral_m = 0.0
+        self._sumo_drives = False
+        self._set_mps = self._told_mps = 0.0  # the set speed, and the speed that SUMO was told
+        self._leader: Leader | None = None
+        self._leader_name = ""
+        self._leader_speeds_mps: deque[float] = deque(maxlen=round(0.5 / SECONDS_PER_STEP) + 1)
         self.speeds_mps: list[float] = []
         self.collisions = 0
         self.struck = 0
         self.min_ttc_s = math.inf
+        self._behind: list[_Watched] = []
         self._equip()
 
-    @property
-    def fastest_mps(self) -> float:
-        """Its highest set speed."""
-        return self._adas.max_speed_kmh / KMH
-
     def _equip(self) -> None:
-        """Give it car-following that brakes safely and never harder than it may.
+        """Give it emergency braking: car-following that brakes safely and never harder than it may.
 
         Krauss without imperfection, a deceleration as hard as emergency braking, and others told to expect a
         comfortable one. SUMO never exceeds `decel` under setSpeed in the default speed mode, and this model needs no
-        more to stay clear of a leader that brakes as hard.
+        more to stay clear of a leader that brakes as hard. Adaptive cruise control (`acc`) brakes long before it.
         """
         types, adas = libsumo.vehicletype, self._adas
         types.setAccel(HOST_TYPE, adas.acceleration_mps2)
         types.setDecel(HOST_TYPE, adas.emergency_braking_mps2)
         types.setEmergencyDecel(HOST_TYPE, adas.emergency_braking_mps2)
-        types.setApparentDecel(HOST_TYPE, min(4.5, adas.emergency_braking_mps2))
+        types.setApparentDecel(HOST_TYPE, min(EXPECTED_BRAKING_MPS2, adas.emergency_braking_mps2))
         types.setImperfection(HOST_TYPE, 0.0)
         types.setMaxSpeed(HOST_TYPE, self.fastest_mps)
-        types.setTau(HOST_TYPE, adas.time_gap_s)
+        types.setTau(HOST_TYPE, AEB_TIME_GAP_S)
         types.setMinGap(HOST_TYPE, adas.standstill_gap_m)
 
     # It enters.
 
     def take_over(self, speed_mps: float) -> None:
-        """Leave it to its layer from the moment on that it enters, at such a speed at first."""
-        libsumo.vehicle.setSpeedFactor(HOST, UNLIMITED)  # its layer keeps to the limits, and brakes for them in time
+        """Put the host under ADAS control as soon as it is inserted, holding `speed_mps` at first."""
+        libsumo.vehicle.setSpeedFactor(HOST, UNLIMITED)  # the ADAS layer brakes for limits, in time
         libsumo.vehicle.setLaneChangeMode(HOST, COMMANDED_ONLY)
         libsumo.vehicle.setSpeed(HOST, speed_mps)
+        self._set_mps = self._told_mps = speed_mps
 
     def hold_below(self, speed_mps: float) -> None:
-        """Let it drive no faster, whatever is commanded."""
+        """Let the host drive no faster than this, whatever is commanded."""
         libsumo.vehicle.setMaxSpeed(HOST, speed_mps)
 
     def begin(self) -> None:
-        """Note the speed at which it has entered."""
-        self.speeds_mps.append(libsumo.vehicle.getSpeed(HOST))
+        """Note the speed at which the host has entered, and who is ahead."""
+        self._note_speed_and_leader()
 
     def hand_over(self) -> None:
-        """Let SUMO's own driver change lanes too; its speed is left to it by a command with a negative speed."""
+        """Let SUMO's own driver drive: no adaptive cruise control, lane changes of its own accord.
+
+        Its speed is left to it by a command with a negative speed.
+        """
+        self._sumo_drives = True
         libsumo.vehicle.setLaneChangeMode(HOST, SUMO_CHANGES_LANES)
 
     # What it can know.
@@ -183,11 +211,12 @@ class Host:
     def gaps(self, side: int) -> Gaps:
         """Return the gaps in the host's own lane (0) or the one to its left (+1) or right (-1)."""
         if side == 0:
-            leader, follower = libsumo.vehicle.getLeader(HOST, LEADER_RANGE_M), libsumo.vehicle.getFollower(HOST)
+            sight_m = acc.sight_m(libsumo.vehicle.getSpeed(HOST), self._adas)
+            leader, follower = libsumo.vehicle.getLeader(HOST, sight_m), libsumo.vehicle.getFollower(HOST)
             ahead, behind = ([pair] if pair and pair[0] else [] for pair in (leader, follower))
         else:
-            mode = 0 if side > 0 else 1
-            ahead, behind = (libsumo.vehicle.getNeighbors(HOST, mode | which) for which in (2, 0))
+            modes = (AHEAD_LEFT, BEHIND_LEFT) if side > 0 else (AHEAD_RIGHT, BEHIND_RIGHT)
+            ahead, behind = (libsumo.vehicle.getNeighbors(HOST, mode) for mode in modes)
         ahead_m, ahead_speed = self._nearest(ahead, self._adas.standstill_gap_m)
         behind_m, behind_speed = self._nearest(behind, None)
         return Gaps(ahead_m, ahead_speed, behind_m, behind_speed)
@@ -211,9 +240,10 @@ class Host:
         if drives_on != self._drives_on:
             vehicle.setSpeedMode(HOST, IGNORE_SIGNALS if drives_on else SUMO_SPEED_MODE)
             self._drives_on = drives_on
-        vehicle.setSpeed(HOST, command.speed_mps)
+        self._set_mps = command.speed_mps
         if command.cross:
             vehicle.changeLane(HOST, vehicle.getLaneIndex(HOST) + command.cross, 0.0)
+            self._watch_behind(command.cross)
         if command.lateral_m != self._lateral_m:
             vehicle.setLateralLanePosition(HOST, command.lateral_m)
             self._lateral_m = command.lateral_m
@@ -232,20 +262,66 @@ class Host:
         """Return what signals on the host's way show, and which ways without priority are open."""
         return [*(signal.state for signal in signals), *(give_way.is_open for give_way in self._give_ways())]
 
+    def drive(self) -> None:
+        """Tell SUMO the speed for the next step: the set speed, or what adaptive cruise control makes of it."""
+        speed = self._set_mps
+        if self._leader and not self._sumo_drives:
+            speed = min(speed, acc.following_mps(self.speeds_mps[-1], self._leader, self._adas))
+        if speed != self._told_mps:
+            libsumo.vehicle.setSpeed(HOST, speed)
+            self._told_mps = speed
+
     def note(self) -> None:
         """Note what the last step has come to."""
-        speed = libsumo.vehicle.getSpeed(HOST)
-        self.speeds_mps.append(speed)
-        leader = libsumo.vehicle.getLeader(HOST, LEADER_RANGE_M)
-        if leader and leader[0]:
-            closing = speed - libsumo.vehicle.getSpeed(leader[0])
-            gap = leader[1] + self._adas.standstill_gap_m
-            if closing * self.min_ttc_s > gap > 0.0:
-                self.min_ttc_s = gap / closing
+        self._note_speed_and_leader()
+        if self._leader:
+            closing_mps = self.speeds_mps[-1] - self._leader.speed_mps
+            if closing_mps * self.min_ttc_s > self._leader.gap_m > 0.0:
+                self.min_ttc_s = self._leader.gap_m / closing_mps
         if libsumo.simulation.getCollidingVehiclesNumber():
             for collision in libsumo.simulation.getCollisions():  # those among the others are none of its business
                 self.collisions += collision.collider == HOST
                 self.struck += collision.victim == HOST
+
+        if self._behind:
+            self._note_behind()
+
+    def _watch_behind(self, side: int) -> None:
+        """Watch the vehicle that is behind in the lane the host moves into now."""
+        followers = libsumo.vehicle.getNeighbors(HOST, BEHIND_LEFT if side > 0 else BEHIND_RIGHT)
+        if followers:
+            name, _ = min(followers, key=lambda follower: follower[1])
+            self._behind.append(_Watched(name, [libsumo.vehicle.getSpeed(name)]))
+
+    def _note_behind(self) -> None:
+        """Note the speeds of those watched, who may leave the road."""
+        watched = [one for one in self._behind if len(one.speeds_mps) <= WATCH_STEPS]
+        on_road = set(libsumo.vehicle.getIDList()) if watched else set()
+        for one in watched:
+            if one.name in on_road:
+                one.speeds_mps.append(libsumo.vehicle.getSpeed(one.name))
+
+    @property
+    def hard_brakings_behind(self) -> int:
+        """How often those it moved in front of have braked hard within `WATCH_STEPS`."""
+        return sum(hard_brakings(one.speeds_mps) for one in self._behind)
+
+    def _note_speed_and_leader(self) -> None:
+        speed = libsumo.vehicle.getSpeed(HOST)
+        self.speeds_mps.append(speed)
+        ahead = libsumo.vehicle.getLeader(HOST, acc.sight_m(speed, self._adas))
+        if not ahead or not ahead[0]:
+            self._leader, self._leader_name = None, ""
+            return
+        name, gap_m = ahead
+        speeds_mps = self._leader_speeds_mps
+        if name != self._leader_name:
+            self._leader_name = name
+            speeds_mps.clear()
+        speeds_mps.append(libsumo.vehicle.getSpeed(name))
+        seconds = max(len(speeds_mps) - 1, 1) * SECONDS_PER_STEP
+        acceleration_mps2 = (speeds_mps[-1] - speeds_mps[0]) / seconds
+        self._leader = Leader(gap_m + self._adas.standstill_gap_m, speeds_mps[-1], acceleration_mps2)
 
     @property
     def contact(self) -> bool:

@@ -7,7 +7,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rail_sumo.config import Adas
-from rail_sumo.records import KMH, Floats, Trajectory
+from rail_sumo.records import Floats, Trajectory
 
 # Per SUMO step or per event.
 LANE_CHANGING = -0.5
@@ -19,6 +19,7 @@ COLLISION = -10.0
 
 def reward(
     speed_mps: Floats,
+    limit_mps: Floats,
     lane_changing: NDArray[np.bool_],
     adas: Adas,
     *,
@@ -31,12 +32,13 @@ def reward(
 
     Args:
         speed_mps: the host's speed after each step, shape (n_steps,); may be empty.
+        limit_mps: the speed limit in each step, shape (n_steps,).
         lane_changing: whether a lane change was under way in each step, shape (n_steps,).
         adas: the host's speed range, which scales the longitudinal part.
         overtakes, overtaken, refused_decisions, collisions: how often each happened in the stretch.
     """
     return (
-        longitudinal_reward(speed_mps, adas)
+        longitudinal_reward(speed_mps, limit_mps, adas)
         + lateral_reward(lane_changing)
         + OVERTAKE * overtakes
         + OVERTAKEN * overtaken
@@ -49,6 +51,7 @@ def total_reward(trajectory: Trajectory, adas: Adas) -> float:
     """Return what an episode earned."""
     return reward(
         trajectory.speed_mps[1:],
+        trajectory.limit_mps,
         trajectory.lane_changing,
         adas,
         overtakes=trajectory.overtakes,
@@ -58,10 +61,18 @@ def total_reward(trajectory: Trajectory, adas: Adas) -> float:
     )
 
 
-def longitudinal_reward(speed_mps: Floats, adas: Adas) -> float:
-    """Sum (v - min) / (max - min) over the speeds after each step: 0 at the lowest set speed or below, 1 at the top."""
-    lowest_kmh, highest_kmh = adas.min_speed_kmh, adas.max_speed_kmh
-    return float(np.maximum(0.0, (KMH * speed_mps - lowest_kmh) / (highest_kmh - lowest_kmh)).sum())
+def longitudinal_reward(speed_mps: Floats, limit_mps: Floats, adas: Adas) -> float:
+    """Sum (v - low) / (high - low) over the speeds after each step; low and high are the range of the set speed there.
+
+    0 at the lowest set speed or below, 1 at the highest; 0 where the range is empty.
+    """
+    per_limit = {limit: (adas.lowest_mps(limit), adas.highest_mps(limit)) for limit in np.unique(limit_mps).tolist()}
+    total = 0.0
+    for limit, (lowest, highest) in per_limit.items():
+        if lowest < highest:
+            above = np.maximum(0.0, speed_mps[limit_mps == limit] - lowest)
+            total += float(above.sum()) / (highest - lowest)
+    return total
 
 
 def lateral_reward(lane_changing: NDArray[np.bool_]) -> float:

@@ -3,6 +3,7 @@
 import os
 from collections.abc import Sequence
 from pathlib import Path
+from statistics import fmean
 
 import libsumo
 import numpy as np
@@ -16,10 +17,12 @@ from rail_sumo.highway.road import Road
 from rail_sumo.records import SECONDS_PER_STEP, Command, Scene
 
 # Ids that no demand of a user's has; the types' are those of `TYPES`.
-TRAFFIC_TYPE = f"{OURS}traffic"
+TRAFFIC_TYPE = f"{OURS}traffic_"
+"""Followed by the car-following model's name."""
 ROUTE = f"{OURS}route"
 TYPES = Path(__file__).with_name("types.add.xml")
-"""Both types as SUMO has them by default, whatever a user's demand says of its default."""
+"""The types as SUMO has them by default, whatever a user's demand says of its default; the made traffic decides every
+0.5 s, which halves what it costs, and calms it."""
 
 RESPECT_OTHERS_GAPS = 512
 """Lane-change mode: no change of its own accord; a commanded one waits for a gap that is safe to others."""
@@ -30,6 +33,8 @@ SEEDS = 2**31
 """SUMO takes seeds below this."""
 WAIT_S, GAP_WAIT_S = 120.0, 30.0
 """How long to wait for the host to enter, and of that for a gap that lets it do so at its starting speed."""
+NEAR_ENTRY_M = 100.0
+"""The host enters as fast as the vehicles drive that are within this distance of its entry."""
 STOREY_M = 3.0
 """Vehicles farther above or below drive on another road, as on a bridge."""
 
@@ -47,6 +52,8 @@ class Simulation:
             is taken away at the end.
         begin_s: when to begin in the demand's time, in seconds.
         adas: limits of the host's own car-following (ACC and AEB).
+        fastest_mps: the host's highest set speed on its course.
+        car_following: SUMO's model that drives the vehicles of a moving window.
         seed: SUMO's seed.
         context_m: how far from the host, along either axis, a `Scene` shows vehicles.
         outputs: further options of SUMO's, such as its own reports.
@@ -66,6 +73,8 @@ class Simulation:
         additional: Sequence[Path] = (),
         begin_s: float = 0.0,
         adas: config.Adas,
+        fastest_mps: float,
+        car_following: str,
         seed: int,
         context_m: float,
         outputs: Sequence[str] = (),
@@ -100,7 +109,8 @@ class Simulation:
             ]
         )
         Simulation._running = self._is_open = True
-        self.host = Host(road, adas)
+        self._traffic_type = f"{TRAFFIC_TYPE}{car_following}"
+        self.host = Host(road, adas, fastest_mps)
 
     def __enter__(self) -> "Simulation":
         return self
@@ -130,7 +140,7 @@ class Simulation:
 
         SUMO leaves it out where it would not be safe; look for it in the next scene.
         """
-        self._add(name, TRAFFIC_TYPE, edges, lane, front_m, "desired")
+        self._add(name, self._traffic_type, edges, lane, front_m, "desired")
         libsumo.vehicle.setSpeedFactor(name, 1.0)
         libsumo.vehicle.setMaxSpeed(name, desired_speed_mps)
         libsumo.vehicle.setLaneChangeMode(name, LEAVE_ENDING_LANES)
@@ -187,6 +197,16 @@ class Simulation:
     def travelled_m(self, name: str) -> float:
         """Return a vehicle's odometer: metres driven since its insertion."""
         return libsumo.vehicle.getDistance(name)
+
+    def traffic_mps(self, edge: str, front_m: float) -> float | None:
+        """Return the mean speed of the vehicles within `NEAR_ENTRY_M` of a place on an edge; None if there are none."""
+        vehicle = libsumo.vehicle
+        near = [
+            vehicle.getSpeed(name)
+            for name in libsumo.edge.getLastStepVehicleIDs(edge)
+            if abs(vehicle.getLanePosition(name) - front_m) < NEAR_ENTRY_M
+        ]
+        return fmean(near) if near else None
 
     def wait_for_host(self) -> None:
         """Let the traffic drive until the host has entered.
@@ -273,6 +293,7 @@ class Simulation:
 
     def _step(self) -> None:
         """Let SUMO go one step on, and note what became of the host."""
+        self.host.drive()
         libsumo.simulation.step()
         self.host.note()
 

@@ -7,7 +7,6 @@ from rail_sumo.config import Config
 from rail_sumo.highway import demand, road
 from rail_sumo.highway.env import HighwayEnv
 from rail_sumo.highway.road import Road
-from rail_sumo.records import KMH
 
 
 def check(world: Config) -> tuple[Road, list[str]]:
@@ -30,7 +29,7 @@ def check(world: Config) -> tuple[Road, list[str]]:
 
 
 def _shortness(world: Config, env: HighwayEnv) -> Iterator[str]:
-    farthest_m = min(world.episode.course_m, world.episode.duration_s * world.adas.max_speed_kmh / KMH)
+    farthest_m = min(world.episode.course_m, world.episode.duration_s * env.fastest_mps)
     if env.drivable_m < farthest_m:
         yield (
             f"the road ends {env.drivable_m:.0f} m after the host's start, and so will episodes of up to "

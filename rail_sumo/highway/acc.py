@@ -1,0 +1,98 @@
+"""Adaptive cruise control: how fast the host drives behind whoever is ahead. Pure: knows nothing of SUMO.
+
+It acts at every SUMO step and only ever lowers the set speed. What it needs beyond its own limits of braking, because
+somebody cuts in or brakes hard, is emergency braking: the car-following model of the host's vehicle type.
+"""
+
+import math
+from typing import NamedTuple
+
+from rail_sumo.config import Adas
+from rail_sumo.records import SECONDS_PER_STEP
+
+SIGHT_M = 250.0
+"""How far ahead the host looks for a leader, at least."""
+RESPONSE_S = 0.5
+"""The host aims at the speed that its gap will allow after this time. It smooths the leader's unsteadiness; behind a
+leader that swings the host swings less as long as this is no longer than its time gap."""
+
+# ISO 15622: adaptive cruise control brakes no harder than this at these speeds, and in proportion between them.
+SLOW_MPS, FAST_MPS = 5.0, 20.0
+HARDEST_WHEN_SLOW_MPS2, HARDEST_WHEN_FAST_MPS2 = 5.0, 3.5
+
+
+class Leader(NamedTuple):
+    """The vehicle ahead."""
+
+    gap_m: float
+    """From bumper to bumper."""
+    speed_mps: float
+    acceleration_mps2: float = 0.0
+    """Averaged over the last half second."""
+
+
+def sight_m(speed_mps: float, adas: Adas) -> float:
+    """Return how far ahead the host must see to brake comfortably for a standing queue."""
+    at_rest_m = adas.standstill_gap_m + adas.time_gap_s * speed_mps
+    return max(SIGHT_M, braking_distance_m(speed_mps, adas.comfort_braking_mps2) + at_rest_m)
+
+
+def braking_distance_m(speed_mps: float, braking_mps2: float) -> float:
+    """Return how far a vehicle drives while it brakes evenly to a standstill: v^2 / (2 b)."""
+    return speed_mps**2 / (2 * braking_mps2)
+
+
+def hardest_braking_mps2(speed_mps: float) -> float:
+    """Return the hardest braking of adaptive cruise control at a speed (ISO 15622)."""
+    part = min(max((speed_mps - SLOW_MPS) / (FAST_MPS - SLOW_MPS), 0.0), 1.0)
+    return HARDEST_WHEN_SLOW_MPS2 + part * (HARDEST_WHEN_FAST_MPS2 - HARDEST_WHEN_SLOW_MPS2)
+
+
+def allowed_mps(leader: Leader, adas: Adas) -> float:
+    """Return the highest speed that needs no more than comfortable braking for the leader."""
+    room_m = leader.gap_m - adas.standstill_gap_m
+    return _allowed_mps(room_m, leader.speed_mps, adas.comfort_braking_mps2, adas.time_gap_s)
+
+
+def following_mps(speed_mps: float, leader: Leader, adas: Adas) -> float:
+    """Return the speed at the end of the next step that the leader allows, not counting how fast the host can speed up.
+
+    The host brakes evenly towards its time gap: comfortably where it sees the leader in time, else as hard as it takes,
+    up to `hardest_braking_mps2`.
+    """
+    room_m = leader.gap_m - adas.standstill_gap_m
+    hardest = min(hardest_braking_mps2(speed_mps), adas.emergency_braking_mps2)
+    braking = min(max(_needed_mps2(speed_mps, room_m, leader, adas.time_gap_s), adas.comfort_braking_mps2), hardest)
+    soon_m = room_m - (speed_mps - leader.speed_mps) * RESPONSE_S
+    aim = _allowed_mps(soon_m, leader.speed_mps, braking, adas.time_gap_s)
+    acceleration = max((aim - speed_mps) / RESPONSE_S, -braking)
+    return max(0.0, speed_mps + acceleration * SECONDS_PER_STEP)
+
+
+def _allowed_mps(room_m: float, leader_mps: float, braking_mps2: float, time_gap_s: float) -> float:
+    """Return the speed from which even braking leads to the time gap behind a leader that brakes as hard.
+
+    v^2 = w^2 + 2 b (s - T w) with w the leader's speed. Below b T the time gap T = s / v alone is kept, or braking
+    would end in a jerk: there the two curves touch.
+    """
+    crawl_mps = braking_mps2 * time_gap_s
+    if leader_mps < crawl_mps and room_m < crawl_mps * time_gap_s:
+        return max(room_m, 0.0) / time_gap_s
+    steady = max(leader_mps, crawl_mps)
+    return math.sqrt(max(steady**2 + 2 * braking_mps2 * (room_m - time_gap_s * steady), 0.0))
+
+
+def _needed_mps2(speed_mps: float, room_m: float, leader: Leader, time_gap_s: float) -> float:
+    """Return the even braking that keeps the host clear of a leader that goes on as it does now.
+
+    The constant-acceleration heuristic of Kesting, Treiber & Helbing (2010): towards the place where a braking leader
+    will stand, or towards its speed before the time gap is used up. Of a gap that is shorter already, as behind a
+    vehicle that has cut in, half may be used up.
+    """
+    closing_mps, leader_braking = speed_mps - leader.speed_mps, max(-leader.acceleration_mps2, 0.0)
+    if room_m <= 0.0:
+        return math.inf if closing_mps > 0.0 else 0.0
+    if leader_braking > 0.0 and leader.speed_mps * closing_mps <= 2 * room_m * leader_braking:
+        return speed_mps**2 * leader_braking / (leader.speed_mps**2 + 2 * room_m * leader_braking)
+    to_time_gap_m = max(room_m - time_gap_s * leader.speed_mps, room_m / 2)
+    return leader_braking + max(closing_mps, 0.0) ** 2 / (2 * to_time_gap_m)
