@@ -19,11 +19,12 @@ from rail_sumo.records import KMH
 
 @pytest.fixture
 def short_road(tmp_path):
-    """Three lanes of so many metres."""
+    """Three lanes of so many metres and a limit of 130 km/h."""
 
     def write(length_m):
         path = tmp_path / "short.net.xml"
-        path.write_text(assets.network("highway3").read_text().replace("8200.00", f"{length_m:.2f}"))
+        text = assets.network("highway3").read_text().replace("8200.00", f"{length_m:.2f}")
+        path.write_text(re.sub(r'speed="[\d.]+"', 'speed="36.11"', text))
         return {"file": str(path)}
 
     return write

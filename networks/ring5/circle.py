@@ -28,7 +28,7 @@ def edge(k: int) -> str:
     """Return edge k with its shape."""
     shape = " ".join(",".join(point((k + i / SEGMENTS_PER_EDGE) / N_EDGES)) for i in range(SEGMENTS_PER_EDGE + 1))
     return (
-        f'<edge id="ring{k}" from="n{k}" to="n{(k + 1) % N_EDGES}" numLanes="{N_LANES}" width="3.2" speed="36.11" '
+        f'<edge id="ring{k}" from="n{k}" to="n{(k + 1) % N_EDGES}" numLanes="{N_LANES}" width="3.2" speed="22.2222" '
         f'spreadType="center" shape="{shape}"/>'
     )
 
