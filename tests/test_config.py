@@ -128,7 +128,9 @@ def test_without_a_file_the_defaults_are_the_papers_course_on_five_lanes():
     assert default.network.file == "highway5"
     assert (default.episode.course_m, default.episode.duration_s) == (7222.0, math.inf)
     assert (default.lidar.n_rays, default.lidar.max_range_m, default.lidar.road_edges) == (24, 100.0, True)
-    assert (default.adas.min_speed_kmh, default.adas.start_speed_kmh, default.adas.max_speed_kmh) == (40, 60, 80)
+    adas, limit_mps = default.adas, 80 / 3.6
+    set_speeds_mps = (adas.lowest_mps(limit_mps), adas.start_mps(limit_mps), adas.highest_mps(limit_mps))
+    assert set_speeds_mps == pytest.approx([40 / 3.6, 60 / 3.6, 80 / 3.6])
     assert default.adas.speed_step_kmh == 5.0
 
 
@@ -234,14 +236,23 @@ POLICY_KEYS = "policy.hidden, policy.layers"
             "episode.decision_period_s: Input should be greater than or equal to 0.1, got 0.05",
         ),
         (
-            "[adas]\nstart_speed_kmh = 90",
-            "adas: start_speed_kmh 90.0 must lie between min_speed_kmh 40.0 and max_speed_kmh 80.0",
+            "[adas]\nstart_speed_kmh = 90\nmax_speed_kmh = 80",
+            "adas: start_speed_kmh 90.0 must not be above max_speed_kmh 80.0",
         ),
+        (
+            "[adas]\nstart_speed_kmh = 30\nmin_speed_kmh = 40",
+            "adas: start_speed_kmh 30.0 must not be below min_speed_kmh 40.0",
+        ),
+        (
+            "[adas]\nmax_speed_kmh = 'fast'",
+            "adas.max_speed_kmh: Input should be a valid number or 'limit', got 'fast'",
+        ),
+        ("[adas]\nmax_speed_kmh = 0", "adas.max_speed_kmh: Input should be greater than 0 or 'limit', got 0"),
         (
             "[adas]\nemergency_braking_mps2 = 1.5",
             "adas: comfort_braking_mps2 2.0 is above emergency_braking_mps2 1.5",
         ),
-        ("[adas]\nmin_speed_kmh = 80", "adas: min_speed_kmh 80.0 must be below max_speed_kmh 80.0"),
+        ("[adas]\nmin_speed_kmh = 80\nmax_speed_kmh = 80", "adas: min_speed_kmh 80.0 must be below max_speed_kmh 80.0"),
         (
             "[adas]\nemergency_braking_mps2 = 9.5",
             "adas.emergency_braking_mps2: Input should be less than or equal to 9, got 9.5",

@@ -25,7 +25,7 @@ def leader(gap_m, speed_mps):
 
 def env(*, here=FREE, left=FREE, right=FREE, speed_mps=15.0, mask=ALL, changing=False):
     """What the rule driver asks of an environment."""
-    host = HostState(speed_mps, 2, 0, 4, 1000.0, 3.2, 3.2, 3.2, (math.inf,) * 5)
+    host = HostState(speed_mps, 2, 0, 4, 1000.0, 3.2, 3.2, 3.2, (math.inf,) * 5, limit_mps=TOP_MPS)
     return SimpleNamespace(
         surroundings=lambda: (host, here, left, right), action_masks=lambda: mask, is_changing_lane=changing
     )
@@ -41,23 +41,22 @@ def test_the_rule_driver_speeds_up_when_free_until_half_a_metre_a_second_below_t
 
 
 def test_the_rule_driver_does_not_speed_up_towards_a_slow_leader_it_cannot_pass():
-    # 10 m/s over the next 6 s, and the 30 m of gap: 15 m/s on average.
+    # 43.25 m ahead are 31.25 m beyond the time gap at 10 m/s: sqrt(10^2 + 2 * 2 * 31.25) = 15 m/s.
     blocked = [True, True, True, False, False]
-    assert rule(here=leader(30.0, 10.0), speed_mps=14.4, mask=blocked) == ACCELERATE
-    assert rule(here=leader(30.0, 10.0), speed_mps=14.6, mask=blocked) == KEEP
-    assert rule(here=leader(-5.0, 15.0), speed_mps=14.4, mask=blocked) == ACCELERATE  # alongside: 15 m/s, not less
+    assert rule(here=leader(43.25, 10.0), speed_mps=14.4, mask=blocked) == ACCELERATE
+    assert rule(here=leader(43.25, 10.0), speed_mps=14.6, mask=blocked) == KEEP
 
 
 @pytest.mark.parametrize(("side", "action"), [("left", LEFT), ("right", RIGHT)])
 def test_the_rule_driver_changes_for_a_gain_of_more_than_1_mps(side, action):
     other = "right" if side == "left" else "left"
-    here = leader(30.0, 10.0)  # worth 15 m/s
-    assert rule(here=here, speed_mps=15.0, **{side: leader(30.0, 11.1), other: here}) == action  # 16.1
-    assert rule(here=here, speed_mps=15.0, **{side: leader(30.0, 10.9), other: here}) == KEEP  # 15.9
+    here = leader(43.25, 10.0)  # worth 15 m/s
+    assert rule(here=here, speed_mps=15.0, **{side: leader(51.1, 10.0), other: here}) == action  # 16.01
+    assert rule(here=here, speed_mps=15.0, **{side: leader(50.9, 10.0), other: here}) == KEEP  # 15.99
 
 
 def test_the_rule_driver_takes_the_better_of_two_sides():
-    here, better, worse = leader(12.0, 10.0), leader(60.0, 11.0), leader(30.0, 14.0)  # 12, 21, 19 m/s
+    here, better, worse = leader(12.0, 10.0), leader(60.0, 11.0), leader(30.0, 14.0)  # 10, 17 and 16 m/s
     assert rule(here=here, left=better, right=worse) == LEFT
     assert rule(here=here, left=worse, right=better) == RIGHT
 

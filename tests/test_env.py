@@ -30,7 +30,7 @@ from rail_sumo.highway.env import HighwayEnv
 from rail_sumo.highway.host import SUMO_CHANGES_LANES
 from rail_sumo.highway.observation import feature_names
 from rail_sumo.highway.reward import reward, total_reward
-from rail_sumo.highway.simulation import HOST, RESPECT_OTHERS_GAPS, TRAFFIC_TYPE
+from rail_sumo.highway.simulation import HOST, RESPECT_OTHERS_GAPS
 from rail_sumo.highway.traffic import MovingWindow
 from rail_sumo.records import KMH, MetaAction
 
@@ -268,6 +268,7 @@ def test_rewards_step_by_step_are_the_whole_trajectorys(make):
     assert earned == pytest.approx(
         reward(
             driven.speed_mps[1:],
+            driven.limit_mps,
             driven.lane_changing,
             env.config.adas,
             overtakes=driven.overtakes,
@@ -446,7 +447,7 @@ def intrude(gap_m):
             libsumo.vehicle.add(
                 "parked",
                 "parking",
-                TRAFFIC_TYPE,
+                "DEFAULT_VEHTYPE",
                 departLane=str(beside),
                 departPos=str(front_m + gap_m + 5.0),
                 departSpeed="0",

@@ -14,7 +14,16 @@ def trajectory(speed_mps, **changes):
     """An uneventful drive; every field can be changed."""
     speed_mps = np.asarray(speed_mps, dtype=np.float64)
     fields = dict.fromkeys(
-        ("overtakes", "overtaken", "lane_changes", "aborted_lane_changes", "refused_decisions", "collisions", "struck"),
+        (
+            "overtakes",
+            "overtaken",
+            "lane_changes",
+            "aborted_lane_changes",
+            "refused_decisions",
+            "collisions",
+            "struck",
+            "hard_brakings_behind",
+        ),
         0,
     )
     uneventful = Trajectory(
@@ -22,6 +31,7 @@ def trajectory(speed_mps, **changes):
         actions=np.empty(0, dtype=np.int64),
         carried_out=np.empty(0, dtype=np.int64),
         speed_mps=speed_mps,
+        limit_mps=np.full(len(speed_mps) - 1, 80 / 3.6),
         lane_changing=np.zeros(len(speed_mps) - 1, dtype=np.bool_),
         min_ttc_s=math.inf,
         end_reason="duration",
@@ -56,6 +66,18 @@ def test_below_40_kmh_a_step_earns_nothing():
     assert row([0.0, 5.0, 40 / 3.6, 60 / 3.6])["longitudinal_reward"] == pytest.approx(0.5)
 
 
+def test_a_step_is_worth_its_place_between_half_the_limit_and_the_limit_there():
+    # 75 km/h are half way up at a limit of 100, the top at 75, and beyond it at 50.
+    limits_mps = np.array([100, 75, 50]) / 3.6
+    assert row(np.full(4, 75 / 3.6), limit_mps=limits_mps)["longitudinal_reward"] == pytest.approx(0.5 + 1.0 + 2.0)
+
+
+def test_where_the_set_speed_has_no_range_a_step_earns_nothing():
+    slow = Adas(min_speed_kmh=40.0)
+    driven = trajectory(np.full(3, 30 / 3.6), limit_mps=np.full(2, 30 / 3.6))
+    assert metrics.row(driven, slow)["longitudinal_reward"] == 0.0
+
+
 def test_a_full_course_at_70_kmh_earns_what_the_paper_accounts():
     # 7,222 m at 70 km/h are about 3,714 steps of 0.1 s, each worth (70 - 40) / 40 = 0.75.
     steps = round(7222 / (70 / 3.6) / 0.1)
@@ -75,6 +97,12 @@ def test_hardest_braking_is_the_steepest_single_step():
     assert driven["hardest_braking_mps2"] == pytest.approx(9.0)
 
 
+def test_hard_brakings_are_those_of_half_a_second():
+    # 4 m/s² for a second.
+    driven = row([*np.full(10, 20.0), *np.linspace(19.6, 16.0, 10), *np.full(10, 16.0)], hard_brakings_behind=2)
+    assert (driven["hard_brakings"], driven["hard_brakings_behind"]) == (1, 2)
+
+
 def test_counts_are_carried_over_and_the_row_fills_every_column():
     driven = row(np.full(2, 20.0), overtakes=3, overtaken=1, struck=1, min_ttc_s=2.5, end_reason="collision")
     assert {"policy": "rule", "episode": 0, **driven}.keys() == EPISODE_COLUMNS.keys()
@@ -86,6 +114,7 @@ def test_reward_adds_its_parts_up():
     # Two steps at 60 km/h, 0.5 each; one of them changing lanes; two overtakes more than overtaken; refusals; a crash.
     total = reward(
         np.full(2, 60 / 3.6),
+        np.full(2, 80 / 3.6),
         np.array([True, False]),
         Adas(),
         overtakes=3,

@@ -30,15 +30,7 @@ FAST = config.Adas(max_speed_kmh=130.0, start_speed_kmh=60.0)
 
 
 def simulate(network=EXPRESSWAY, adas=FAST, **changes):
-    return Simulation(
-        road.load(network),
-        adas=adas,
-        fastest_mps=adas.highest_mps(limit_mps=130.0 / KMH),
-        car_following="Krauss",
-        seed=1,
-        context_m=300.0,
-        **changes,
-    )
+    return Simulation(road.load(network), adas=adas, seed=1, context_m=300.0, **changes)
 
 
 class Script:

@@ -238,7 +238,9 @@ def test_a_vehicle_ordered_off_the_road_or_into_another_stays_where_it_is():
     with Simulation(road.load("highway5"), adas=ADAS, seed=1, context_m=120.0) as simulation:
         simulation.add_host(["highway"], lane=4, front_m=100.0, speed_mps=20.0)
         for name, lane in (("right", 0), ("left", 4), ("beside", 3), ("free", 1)):
-            simulation.add_vehicle(name, ["highway"], lane=lane, front_m=400.0, desired_speed_mps=20.0)
+            simulation.add_vehicle(
+                name, ["highway"], lane=lane, front_m=400.0, desired_speed_mps=20.0, car_following="Krauss"
+            )
         simulation.wait_for_host()
         for name, side in (("right", -1), ("left", 1), ("beside", 1), ("free", 1)):
             simulation.order_lane_change(name, side)

@@ -21,6 +21,8 @@ GATE_BRAKING_MPS2 = 3.5
 
 LEAVE_LANE_M = 300.0
 """How far before its end the host leaves a lane that does not lead on along its course."""
+LANE_END_SHORT_M = 2.5
+"""How far before the end of such a lane the host stands. SUMO stands closer to it, and brakes for that harder."""
 TOUCH_M = 0.01
 """Nearer than that is there."""
 SUMO_DECIDES = -1.0
@@ -214,7 +216,8 @@ def _within_limits(speed_mps: float, host: HostState, config: config.Adas, *, st
     allowed = [speed_mps, _approaching(host.limit_mps, host, 0.0, travel_m, comfort)]
     for beyond_m, limit in host.limits_ahead:
         allowed.append(_approaching(limit, host, host.to_edge_end_m + beyond_m, travel_m, comfort))
-    for ahead_m, slow in host.stops_ahead:
+    lane_end = (host.ends_in_m(host.lane) - LANE_END_SHORT_M, 0.0)
+    for ahead_m, slow in (*host.stops_ahead, lane_end):
         it_takes = (host.speed_mps**2 - slow**2) / (2 * max(ahead_m, TOUCH_M))
         allowed.append(_approaching(slow, host, ahead_m, travel_m, min(max(it_takes, comfort), hardest)))
     return min(allowed)

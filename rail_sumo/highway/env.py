@@ -110,8 +110,6 @@ class HighwayEnv(gymnasium.Env[Floats, np.int64]):
             additional=self._additional,
             begin_s=traffic.begin_s,
             adas=adas,
-            fastest_mps=self.fastest_mps,
-            car_following=traffic.car_following,
             seed=self._seed,
             context_m=max(self.config.lidar.max_range_m, self._near_m) + VEHICLE_M,
             outputs=self._outputs,
@@ -338,13 +336,13 @@ def _fastest_mps(course: Road, adas: AdasConfig) -> float:
                 f"network '{course.name}': edge '{edge.id}' has a speed limit of {edge.limit_mps * KMH:.0f} km/h, "
                 f"which is none; name the host's highest set speed, for example by --set adas.max_speed_kmh=130"
             )
-    limit_mps = max(edge.limit_mps for edge in course.edges)
-    if adas.lowest_mps(limit_mps) >= adas.highest_mps(limit_mps):
+    highest_mps = adas.highest_mps(course.highest_limit_mps)
+    if adas.lowest_mps(course.highest_limit_mps) >= highest_mps:
         raise InputError(
             f"network '{course.name}': adas.min_speed_kmh {adas.min_speed_kmh} is not below the highest set speed on "
-            f"the course, {adas.highest_mps(limit_mps) * KMH:.0f} km/h; lower it, or leave it out for half the limit"
+            f"the course, {highest_mps * KMH:.0f} km/h; lower it, or leave it out for half the limit"
         )
-    return adas.highest_mps(limit_mps)
+    return highest_mps
 
 
 gymnasium.register("RailSumo/Highway-v0", entry_point="rail_sumo.highway.env:HighwayEnv")

@@ -58,17 +58,16 @@ class Host:
     Args:
         road: its course.
         adas: limits of its car-following (ACC and AEB).
-        fastest_mps: its highest set speed on the course.
     """
 
-    def __init__(self, road: Road, adas: config.Adas, fastest_mps: float) -> None:
+    def __init__(self, road: Road, adas: config.Adas) -> None:
         self._adas = adas
-        self.fastest_mps = fastest_mps
+        self.fastest_mps = adas.highest_mps(road.highest_limit_mps)
         self._edges = road.edge_of
         self._has_signals = bool(libsumo.trafficlight.getIDList())
         self._meets_others = self._has_signals or road.gives_way
         self._sight_m = road.sight_m
-        self._heeds_m = acc.braking_distance_m(fastest_mps, adas.comfort_braking_mps2) + SLACK_M
+        self._heeds_m = acc.braking_distance_m(self.fastest_mps, adas.comfort_braking_mps2) + SLACK_M
         self._drives_on = False  # past the next signal, though it is not green
         self._shown: list[str | bool] = []  # when the host last looked
         self._is_unsure = False

@@ -99,6 +99,11 @@ class Road:
         return self._starts_m[-1]
 
     @cached_property
+    def highest_limit_mps(self) -> float:
+        """The highest speed limit of its edges."""
+        return max(edge.limit_mps for edge in self.edges)
+
+    @cached_property
     def edge_of(self) -> Mapping[str, Edge]:
         """Its edges by their ids."""
         return {edge.id: edge for edge in self.edges}

@@ -20,6 +20,8 @@ from rail_sumo.records import SECONDS_PER_STEP, Command, Scene
 TRAFFIC_TYPE = f"{OURS}traffic_"
 """Followed by the car-following model's name."""
 ROUTE = f"{OURS}route"
+DECIDES_EVERY_S = 0.5
+"""How often a vehicle of the made traffic decides: its types' `actionStepLength`."""
 TYPES = Path(__file__).with_name("types.add.xml")
 """The types as SUMO has them by default, whatever a user's demand says of its default; the made traffic decides every
 0.5 s, which halves what it costs, and calms it."""
@@ -52,8 +54,6 @@ class Simulation:
             is taken away at the end.
         begin_s: when to begin in the demand's time, in seconds.
         adas: limits of the host's own car-following (ACC and AEB).
-        fastest_mps: the host's highest set speed on its course.
-        car_following: SUMO's model that drives the vehicles of a moving window.
         seed: SUMO's seed.
         context_m: how far from the host, along either axis, a `Scene` shows vehicles.
         outputs: further options of SUMO's, such as its own reports.
@@ -73,8 +73,6 @@ class Simulation:
         additional: Sequence[Path] = (),
         begin_s: float = 0.0,
         adas: config.Adas,
-        fastest_mps: float,
-        car_following: str,
         seed: int,
         context_m: float,
         outputs: Sequence[str] = (),
@@ -109,8 +107,7 @@ class Simulation:
             ]
         )
         Simulation._running = self._is_open = True
-        self._traffic_type = f"{TRAFFIC_TYPE}{car_following}"
-        self.host = Host(road, adas, fastest_mps)
+        self.host = Host(road, adas)
 
     def __enter__(self) -> "Simulation":
         return self
@@ -134,13 +131,20 @@ class Simulation:
     # Vehicles come and go.
 
     def add_vehicle(
-        self, name: str, edges: Sequence[str], *, lane: int, front_m: float, desired_speed_mps: float
+        self,
+        name: str,
+        edges: Sequence[str],
+        *,
+        lane: int,
+        front_m: float,
+        desired_speed_mps: float,
+        car_following: str,
     ) -> None:
         """Insert a vehicle of the moving window on the next step, with its front at `front_m` on the first edge.
 
         SUMO leaves it out where it would not be safe; look for it in the next scene.
         """
-        self._add(name, self._traffic_type, edges, lane, front_m, "desired")
+        self._add(name, TRAFFIC_TYPE + car_following, edges, lane, front_m, "desired")
         libsumo.vehicle.setSpeedFactor(name, 1.0)
         libsumo.vehicle.setMaxSpeed(name, desired_speed_mps)
         libsumo.vehicle.setLaneChangeMode(name, LEAVE_ENDING_LANES)
@@ -173,14 +177,14 @@ class Simulation:
         self._sizes.pop(name, None)
 
     def order_lane_change(self, name: str, side: int) -> None:
-        """Tell a vehicle to change to the left (+1) or right (-1) on the next step.
+        """Tell a vehicle to change to the left (+1) or right (-1) when it next decides.
 
         It does if there is a lane and the gap is safe; else nothing happens.
         """
         edge = self._edges.get(libsumo.vehicle.getRoadID(name))
         lane = libsumo.vehicle.getLaneIndex(name) + side
         if edge is not None and lane in edge.lanes:
-            libsumo.vehicle.changeLane(name, lane, 0.0)
+            libsumo.vehicle.changeLane(name, lane, DECIDES_EVERY_S)
 
     def on_road(self) -> set[str]:
         """Return the names of all vehicles that have been inserted and have not arrived."""

@@ -110,7 +110,14 @@ class MovingWindow:
         index, front_m = place
         name = f"car{next(self._names)}"
         edges = self._road.laps(index, front_m + self._end_m - (host_m + ahead_m))
-        self._simulation.add_vehicle(name, edges, lane=lane, front_m=front_m, desired_speed_mps=desired_mps)
+        self._simulation.add_vehicle(
+            name,
+            edges,
+            lane=lane,
+            front_m=front_m,
+            desired_speed_mps=desired_mps,
+            car_following=self._config.car_following,
+        )
         self._start_m[name] = host_m + ahead_m
 
     def _order_lane_changes(self, ahead_m: dict[str, float], probability: float, host_changing_lane: bool) -> None:
