@@ -34,10 +34,10 @@ from rich.table import Table
 from rail_sumo import cli  # noqa: F401  spawned workers import this module again: let them carry what the CLI's carry
 from rail_sumo.config import Config, load
 from rail_sumo.highway import road
-from rail_sumo.highway.lidar import Boxes, Lidar
+from rail_sumo.highway.lidar import Lidar
 from rail_sumo.highway.simulation import HOST
 from rail_sumo.policy import Policy, PolicyParameters
-from rail_sumo.records import SECONDS_PER_STEP
+from rail_sumo.records import SECONDS_PER_STEP, Scene
 from rail_sumo.rollout import EVALUATION, Task, Workers, drive, traffic_seed, workers
 from rail_sumo.run_directory import RunDirectory
 
@@ -238,8 +238,8 @@ def decide(policy: Policy, lidar: Lidar, vehicles: dict[str, tuple[float, ...]])
         return 0
     x, y, heading, speed, length, width = np.array([host, *vehicles.values()]).T
     x, y = x - 0.5 * length * np.cos(heading), y - 0.5 * length * np.sin(heading)
-    boxes = Boxes(x[1:], y[1:], heading[1:], speed[1:], length[1:], width[1:])
-    return policy(np.concatenate(lidar.scan(x[0], y[0], heading[0], speed[0], boxes)))
+    scene = Scene(0.0, [HOST, *vehicles], x, y, heading, speed, length, width)
+    return policy(np.concatenate(lidar.scan(scene)))
 
 
 def with_workers(pool: Workers, tasks: list[Task]) -> float:

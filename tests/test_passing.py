@@ -1,3 +1,4 @@
+import cmath
 import math
 
 import numpy as np
@@ -5,7 +6,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from rail_sumo.highway.passing import PassCounter
+from rail_sumo.highway.passing import AHEAD, ALONGSIDE, AWAY, BEHIND, PassCounter, sides_of
 from rail_sumo.records import Scene
 
 LENGTH_M = 5.0
@@ -143,3 +144,27 @@ def test_vehicles_are_counted_one_by_one(along_m):
     alone = np.array(passes(*along_m))
     together = count(*(scene(one=metres, other=-metres) for metres in along_m))
     assert together == tuple((alone + alone[::-1]).tolist())
+
+
+def slow_side(x_m, y_m, heading_rad, length_m, row, near_m):
+    """On which side of the host a vehicle is: in the host's frame, by complex numbers."""
+    place = (complex(x_m[row], y_m[row]) - complex(x_m[0], y_m[0])) * cmath.exp(-1j * heading_rad[0])
+    heading = cmath.exp(1j * heading_rad[row]) * cmath.exp(-1j * heading_rad[0])
+    if abs(place) >= near_m or heading.real <= math.cos(math.radians(60)):
+        return AWAY
+    rear_m, front_m = place.real - length_m[row] / 2, place.real + length_m[row] / 2
+    return AHEAD if rear_m > length_m[0] / 2 else BEHIND if front_m < -length_m[0] / 2 else ALONGSIDE
+
+
+@given(st.integers(0, 2**32 - 1))
+def test_on_any_scene_the_machine_code_its_source_and_a_slow_computation_agree(seed):
+    rng = np.random.default_rng(seed)
+    number = rng.integers(1, 10)
+    columns = (
+        rng.uniform(-1000, 1000) + rng.uniform(-60, 60, number),
+        rng.uniform(-1000, 1000) + rng.uniform(-20, 20, number),
+        rng.uniform(-10, 10) + rng.uniform(-2, 2, number),
+        rng.uniform(0, 20, number),
+    )
+    slow = [AWAY, *(slow_side(*columns, row, 50.0) for row in range(1, number))]
+    assert sides_of(*columns, 50.0).tolist() == sides_of.py_func(*columns, 50.0).tolist() == slow

@@ -15,7 +15,7 @@ from rail_sumo.config import Config
 from rail_sumo.errors import InputError
 from rail_sumo.highway import demand, road, sumo_errors
 from rail_sumo.highway.adas import Adas, HandsOff, lanes_leading_on
-from rail_sumo.highway.lidar import Boxes, Lidar
+from rail_sumo.highway.lidar import Lidar
 from rail_sumo.highway.observation import Layout
 from rail_sumo.highway.passing import NEAR_M, PassCounter
 from rail_sumo.highway.reward import reward
@@ -216,20 +216,7 @@ class HighwayEnv(gymnasium.Env[Floats, np.int64]):
         return self._observation
 
     def _scan(self, scene: Scene) -> tuple[Floats, Floats]:
-        return self._lidar.scan(
-            scene.x_m[0],
-            scene.y_m[0],
-            scene.heading_rad[0],
-            scene.speed_mps[0],
-            Boxes(
-                scene.x_m[1:],
-                scene.y_m[1:],
-                scene.heading_rad[1:],
-                scene.speed_mps[1:],
-                scene.length_m[1:],
-                scene.width_m[1:],
-            ),
-        )
+        return self._lidar.scan(scene)
 
     def _why_over(self) -> EndReason | None:
         assert self._simulation is not None

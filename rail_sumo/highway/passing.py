@@ -4,14 +4,19 @@ import math
 from collections.abc import Callable
 
 import numpy as np
+from numpy.typing import NDArray
 
-from rail_sumo.records import Scene
+from rail_sumo.highway.compiled import compiled
+from rail_sumo.records import Floats, Scene
 
 NEAR_M = 60.0
 """Only vehicles this near the host are sorted into ahead and behind. Farther off they may be rounding a bend."""
 
 SAME_WAY = 0.5
 """Cosine of the angle to the host's heading, 60 degrees, up to which a vehicle drives the host's way."""
+
+AWAY, AHEAD, BEHIND, ALONGSIDE = 0, 1, 2, 3
+"""Where a vehicle is, seen from the host: away if it is far off or drives another way."""
 
 
 class PassCounter:
@@ -26,8 +31,7 @@ class PassCounter:
 
     def __init__(self, near_m: float = NEAR_M) -> None:
         self._near_m = near_m
-        self._ahead: set[str] = set()
-        self._behind: set[str] = set()
+        self._last: dict[str, int] = {}  # the clear side each vehicle near was last on; AWAY if none yet
 
     def update(self, scene: Scene, counts: Callable[[str], bool] = lambda name: True) -> tuple[int, int]:
         """Return how many vehicles the host overtook, and how many overtook it, since the last look.
@@ -36,21 +40,34 @@ class PassCounter:
             scene: what is around the host now.
             counts: whether a vehicle counts; one on a parallel road does not.
         """
-        heading = scene.heading_rad[0]
-        east, north = scene.x_m - scene.x_m[0], scene.y_m - scene.y_m[0]
-        along = east * math.cos(heading) + north * math.sin(heading)
-        clear = 0.5 * (scene.length_m + scene.length_m[0])
-        away = np.where(np.cos(scene.heading_rad - heading) > SAME_WAY, np.hypot(east, north), np.inf)
-        ahead: set[str] = set()
-        behind: set[str] = set()
-        alongside: set[str] = set()
-        rows = zip(scene.ids, along.tolist(), clear.tolist(), away.tolist(), strict=True)
-        next(rows)  # the host itself
-        for name, distance, touching, apart in rows:
-            if apart < self._near_m:
-                side = ahead if distance > touching else behind if distance < -touching else alongside
-                side.add(name)
-        overtakes, overtaken = (sum(map(counts, passed)) for passed in (self._ahead & behind, self._behind & ahead))
-        self._ahead = ahead | (self._ahead & alongside)
-        self._behind = behind | (self._behind & alongside)
+        sides = sides_of(scene.x_m, scene.y_m, scene.heading_rad, scene.length_m, self._near_m)
+        overtakes = overtaken = 0
+        last: dict[str, int] = {}
+        for name, side in zip(scene.ids, sides.tolist(), strict=True):
+            if side == AWAY:
+                continue
+            before = self._last.get(name, AWAY)
+            last[name] = before if side == ALONGSIDE else side
+            if before != AWAY and before != last[name] and counts(name):
+                overtakes += side == BEHIND
+                overtaken += side == AHEAD
+        self._last = last
         return overtakes, overtaken
+
+
+@compiled("int8[::1](float64[:], float64[:], float64[:], float64[:], float64)")
+def sides_of(x_m: Floats, y_m: Floats, heading_rad: Floats, length_m: Floats, near_m: float) -> NDArray[np.int8]:
+    """Return on which side of the host each vehicle is, shape (n_vehicles,); the host, in row 0, is away.
+
+    Alongside begins and ends where the bumpers part: half of both lengths.
+    """
+    sides = np.full(len(x_m), AWAY, dtype=np.int8)
+    host_cos, host_sin = math.cos(heading_rad[0]), math.sin(heading_rad[0])
+    for row in range(1, len(x_m)):
+        east, north = x_m[row] - x_m[0], y_m[row] - y_m[0]
+        is_near = east * east + north * north < near_m * near_m
+        if is_near and math.cos(heading_rad[row] - heading_rad[0]) > SAME_WAY:
+            along = east * host_cos + north * host_sin
+            clear = 0.5 * (length_m[row] + length_m[0])
+            sides[row] = AHEAD if along > clear else BEHIND if along < -clear else ALONGSIDE
+    return sides

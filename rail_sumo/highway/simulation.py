@@ -10,7 +10,7 @@ import numpy as np
 
 from rail_sumo import config
 from rail_sumo.errors import InputError
-from rail_sumo.highway import sumo_errors
+from rail_sumo.highway import placing, sumo_errors
 from rail_sumo.highway.demand import HOST, OURS, folders_written
 from rail_sumo.highway.host import HOST_TYPE, Host, way_of
 from rail_sumo.highway.road import Road
@@ -253,25 +253,14 @@ class Simulation:
         # single look costs more than all the getters together.
         vehicle, size, reach = libsumo.vehicle, self._size, self._context_m
         host_x, host_y, host_z = vehicle.getPosition3D(HOST)
-        names, rows = [HOST], [(host_x, host_y, vehicle.getAngle(HOST), vehicle.getSpeed(HOST), *size(HOST))]
+        names, rows = [HOST], [host_x, host_y, vehicle.getAngle(HOST), vehicle.getSpeed(HOST), *size(HOST)]
         for name in vehicle.getIDList():
             x, y, z = vehicle.getPosition3D(name)
             if abs(x - host_x) < reach and abs(y - host_y) < reach and abs(z - host_z) < STOREY_M and name != HOST:
                 names.append(name)
-                rows.append((x, y, vehicle.getAngle(name), vehicle.getSpeed(name), *size(name)))
-        front_x, front_y, angle, speed, length, width = np.array(rows).T
-        heading = np.radians(90.0 - angle)
-        back = 0.5 * length
-        return Scene(
-            time_s=libsumo.simulation.getTime(),
-            ids=names,
-            x_m=front_x - back * np.cos(heading),
-            y_m=front_y - back * np.sin(heading),
-            heading_rad=heading,
-            speed_mps=speed,
-            length_m=length,
-            width_m=width,
-        )
+                rows += (x, y, vehicle.getAngle(name), vehicle.getSpeed(name), *size(name))
+        vehicles = np.fromiter(rows, np.float64).reshape(len(names), -1)
+        return Scene(libsumo.simulation.getTime(), names, *placing.boxes(vehicles))
 
     def _size(self, name: str) -> tuple[float, float]:
         size = self._sizes.get(name)
