@@ -8,6 +8,7 @@ import math
 from typing import NamedTuple
 
 from rail_sumo.config import Adas
+from rail_sumo.highway.compiled import compiled
 from rail_sumo.records import SECONDS_PER_STEP
 
 SIGHT_M = 250.0
@@ -42,12 +43,6 @@ def braking_distance_m(speed_mps: float, braking_mps2: float) -> float:
     return speed_mps**2 / (2 * braking_mps2)
 
 
-def hardest_braking_mps2(speed_mps: float) -> float:
-    """Return the hardest braking of adaptive cruise control at a speed (ISO 15622)."""
-    part = min(max((speed_mps - SLOW_MPS) / (FAST_MPS - SLOW_MPS), 0.0), 1.0)
-    return HARDEST_WHEN_SLOW_MPS2 + part * (HARDEST_WHEN_FAST_MPS2 - HARDEST_WHEN_SLOW_MPS2)
-
-
 def allowed_mps(leader: Leader, adas: Adas) -> float:
     """Return the highest speed that needs no more than comfortable braking for the leader."""
     room_m = leader.gap_m - adas.standstill_gap_m
@@ -60,15 +55,25 @@ def following_mps(speed_mps: float, leader: Leader, adas: Adas) -> float:
     The host brakes evenly towards its time gap: comfortably where it sees the leader in time, else as hard as it takes,
     up to `hardest_braking_mps2`.
     """
-    room_m = leader.gap_m - adas.standstill_gap_m
-    hardest = min(hardest_braking_mps2(speed_mps), adas.emergency_braking_mps2)
-    braking = min(max(_needed_mps2(speed_mps, room_m, leader, adas.time_gap_s), adas.comfort_braking_mps2), hardest)
-    soon_m = room_m - (speed_mps - leader.speed_mps) * RESPONSE_S
-    aim = _allowed_mps(soon_m, leader.speed_mps, braking, adas.time_gap_s)
-    acceleration = max((aim - speed_mps) / RESPONSE_S, -braking)
-    return max(0.0, speed_mps + acceleration * SECONDS_PER_STEP)
+    return _following_mps(
+        speed_mps,
+        leader.gap_m - adas.standstill_gap_m,
+        leader.speed_mps,
+        leader.acceleration_mps2,
+        adas.time_gap_s,
+        adas.comfort_braking_mps2,
+        adas.emergency_braking_mps2,
+    )
 
 
+@compiled("float64(float64)")
+def hardest_braking_mps2(speed_mps: float) -> float:
+    """Return the hardest braking of adaptive cruise control at a speed (ISO 15622)."""
+    part = min(max((speed_mps - SLOW_MPS) / (FAST_MPS - SLOW_MPS), 0.0), 1.0)
+    return HARDEST_WHEN_SLOW_MPS2 + part * (HARDEST_WHEN_FAST_MPS2 - HARDEST_WHEN_SLOW_MPS2)
+
+
+@compiled("float64(float64, float64, float64, float64)")
 def _allowed_mps(room_m: float, leader_mps: float, braking_mps2: float, time_gap_s: float) -> float:
     """Return the speed from which even braking leads to the time gap behind a leader that brakes as hard.
 
@@ -82,17 +87,39 @@ def _allowed_mps(room_m: float, leader_mps: float, braking_mps2: float, time_gap
     return math.sqrt(max(steady**2 + 2 * braking_mps2 * (room_m - time_gap_s * steady), 0.0))
 
 
-def _needed_mps2(speed_mps: float, room_m: float, leader: Leader, time_gap_s: float) -> float:
+@compiled("float64(float64, float64, float64, float64, float64)")
+def _needed_mps2(
+    speed_mps: float, room_m: float, leader_mps: float, leader_braking_mps2: float, time_gap_s: float
+) -> float:
     """Return the even braking that keeps the host clear of a leader that goes on as it does now.
 
     The constant-acceleration heuristic of Kesting, Treiber & Helbing (2010): towards the place where a braking leader
     will stand, or towards its speed before the time gap is used up. Of a gap that is shorter already, as behind a
     vehicle that has cut in, half may be used up.
     """
-    closing_mps, leader_braking = speed_mps - leader.speed_mps, max(-leader.acceleration_mps2, 0.0)
+    closing_mps = speed_mps - leader_mps
     if room_m <= 0.0:
         return math.inf if closing_mps > 0.0 else 0.0
-    if leader_braking > 0.0 and leader.speed_mps * closing_mps <= 2 * room_m * leader_braking:
-        return speed_mps**2 * leader_braking / (leader.speed_mps**2 + 2 * room_m * leader_braking)
-    to_time_gap_m = max(room_m - time_gap_s * leader.speed_mps, room_m / 2)
-    return leader_braking + max(closing_mps, 0.0) ** 2 / (2 * to_time_gap_m)
+    if leader_braking_mps2 > 0.0 and leader_mps * closing_mps <= 2 * room_m * leader_braking_mps2:
+        return speed_mps**2 * leader_braking_mps2 / (leader_mps**2 + 2 * room_m * leader_braking_mps2)
+    to_time_gap_m = max(room_m - time_gap_s * leader_mps, room_m / 2)
+    return leader_braking_mps2 + max(closing_mps, 0.0) ** 2 / (2 * to_time_gap_m)
+
+
+@compiled("float64(float64, float64, float64, float64, float64, float64, float64)")
+def _following_mps(
+    speed_mps: float,
+    room_m: float,
+    leader_mps: float,
+    leader_acceleration_mps2: float,
+    time_gap_s: float,
+    comfort_braking_mps2: float,
+    emergency_braking_mps2: float,
+) -> float:
+    hardest = min(hardest_braking_mps2(speed_mps), emergency_braking_mps2)
+    needed = _needed_mps2(speed_mps, room_m, leader_mps, max(-leader_acceleration_mps2, 0.0), time_gap_s)
+    braking = min(max(needed, comfort_braking_mps2), hardest)
+    soon_m = room_m - (speed_mps - leader_mps) * RESPONSE_S
+    aim_mps = _allowed_mps(soon_m, leader_mps, braking, time_gap_s)
+    acceleration = max((aim_mps - speed_mps) / RESPONSE_S, -braking)
+    return max(0.0, speed_mps + acceleration * SECONDS_PER_STEP)

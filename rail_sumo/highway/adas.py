@@ -109,11 +109,11 @@ class Adas:
         """Return what to do next, for at most `steps` steps: as many as need no fresh look."""
         set_speed = self._within_range(self._set_speed, host.limit_mps)
         speed = max(set_speed, host.speed_mps - self._config.comfort_braking_mps2 * SECONDS_PER_STEP)
+        keeps_lane = self._side is None
+        if keeps_lane and speed == set_speed == _within_limits(speed, host, self._config, steps=steps):
+            return Command(speed, steps=steps)
         limited = _within_limits(speed, host, self._config, steps=1)
-        if self._side is not None:
-            return self._sideways(self._side, limited, host, gaps)
-        stays = speed == set_speed == _within_limits(speed, host, self._config, steps=steps)
-        return Command(limited, steps=steps if stays else 1)
+        return Command(limited) if self._side is None else self._sideways(self._side, limited, host, gaps)
 
     def _within_range(self, speed_mps: float, limit_mps: float) -> float:
         return min(max(speed_mps, self._config.lowest_mps(limit_mps)), self._config.highest_mps(limit_mps))
@@ -245,6 +245,8 @@ def lanes_leading_on(ends_in_m: Mapping[int, float]) -> list[int]:
 
 def _way_on(host: HostState) -> Side | None:
     """Return the side of the nearest lane that leads on, if the host must leave its own for it by now."""
+    if math.isinf(host.ends_in_m(host.lane)):
+        return None
     goals = lanes_leading_on(
         {lane: host.ends_in_m(lane) for lane in range(host.rightmost_lane, host.leftmost_lane + 1)}
     )

@@ -66,7 +66,8 @@ class Host:
         self._edges = road.edge_of
         self._has_signals = bool(libsumo.trafficlight.getIDList())
         self._meets_others = self._has_signals or road.gives_way
-        self._sight_m = road.sight_m
+        self._junction_sight_m = road.sight_m
+        self._sight_m = acc.sight_m(self.fastest_mps, adas)
         self._heeds_m = acc.braking_distance_m(self.fastest_mps, adas.comfort_braking_mps2) + SLACK_M
         self._drives_on = False  # past the next signal, though it is not green
         self._shown: list[str | bool] = []  # when the host last looked
@@ -80,8 +81,11 @@ class Host:
         self.speeds_mps: list[float] = []
         self.collisions = 0
         self.struck = 0
+        self.contact = False
+        """Whether the host has struck or been struck."""
         self.min_ttc_s = math.inf
         self._behind: list[_Watched] = []
+        self._watched_until = 0  # this many speeds of its own
         self._equip()
 
     def _equip(self) -> None:
@@ -116,7 +120,8 @@ class Host:
 
     def begin(self) -> None:
         """Note the speed at which the host has entered, and who is ahead."""
-        self._note_speed_and_leader()
+        self.speeds_mps.append(libsumo.vehicle.getSpeed(HOST))
+        self._look_ahead()
 
     def hand_over(self) -> None:
         """Let SUMO's own driver drive: no adaptive cruise control, lane changes of its own accord.
@@ -135,7 +140,7 @@ class Host:
         """
         vehicle = libsumo.vehicle
         edge = self._edges.get(vehicle.getRoadID(HOST))
-        speed, lane = vehicle.getSpeed(HOST), vehicle.getLaneIndex(HOST)
+        speed, lane = self.speeds_mps[-1], vehicle.getLaneIndex(HOST)
         careful, stops = self._places(speed)
         limit = libsumo.lane.getMaxSpeed(vehicle.getLaneID(HOST))
         if edge is None or lane not in (lanes := edge.lanes):  # on a junction, or strayed
@@ -195,13 +200,15 @@ class Host:
             if edge == entered:  # listed once more, for another lane
                 continue
             if not has_priority and state not in NOT_GREEN:
-                found.append(GiveWay(ahead_m, is_open, self._sight_m.get(via, SIGHT_M)))
+                found.append(GiveWay(ahead_m, is_open, self._junction_sight_m.get(via, SIGHT_M)))
             ahead_m += inside_m + libsumo.lane.getLength(lane)
             entered = edge
         return found
 
     def _places(self, speed_mps: float) -> tuple[list[Place], list[Place]]:
         """Return where right of way asks the host to be slow: limits to see others from, and stops for them."""
+        if not self._meets_others:
+            return [], []
         adas, give_ways = self._adas, self._give_ways()
         limits = [way.sight(braking_mps2=adas.comfort_braking_mps2) for way in give_ways]
         meets: list[Signal | GiveWay] = [*self._signals(), *give_ways]
@@ -210,8 +217,7 @@ class Host:
     def gaps(self, side: int) -> Gaps:
         """Return the gaps in the host's own lane (0) or the one to its left (+1) or right (-1)."""
         if side == 0:
-            sight_m = acc.sight_m(libsumo.vehicle.getSpeed(HOST), self._adas)
-            leader, follower = libsumo.vehicle.getLeader(HOST, sight_m), libsumo.vehicle.getFollower(HOST)
+            leader, follower = libsumo.vehicle.getLeader(HOST, self._sight_m), libsumo.vehicle.getFollower(HOST)
             ahead, behind = ([pair] if pair and pair[0] else [] for pair in (leader, follower))
         else:
             modes = (AHEAD_LEFT, BEHIND_LEFT) if side > 0 else (AHEAD_RIGHT, BEHIND_RIGHT)
@@ -263,27 +269,46 @@ class Host:
 
     def drive(self) -> None:
         """Tell SUMO the speed for the next step: the set speed, or what adaptive cruise control makes of it."""
-        speed = self._set_mps
-        if self._leader and not self._sumo_drives:
-            speed = min(speed, acc.following_mps(self.speeds_mps[-1], self._leader, self._adas))
-        if speed != self._told_mps:
-            libsumo.vehicle.setSpeed(HOST, speed)
-            self._told_mps = speed
+        speed_mps = self._set_mps
+        if self._leader is not None and not self._sumo_drives:
+            speed_mps = min(speed_mps, acc.following_mps(self.speeds_mps[-1], self._leader, self._adas))
+        if speed_mps != self._told_mps:
+            libsumo.vehicle.setSpeed(HOST, speed_mps)
+            self._told_mps = speed_mps
 
     def note(self) -> None:
         """Note what the last step has come to."""
-        self._note_speed_and_leader()
-        if self._leader:
-            closing_mps = self.speeds_mps[-1] - self._leader.speed_mps
-            if closing_mps * self.min_ttc_s > self._leader.gap_m > 0.0:
-                self.min_ttc_s = self._leader.gap_m / closing_mps
+        speed_mps = libsumo.vehicle.getSpeed(HOST)
+        self.speeds_mps.append(speed_mps)
+        leader = self._look_ahead()
+        if leader is not None:
+            closing_mps = speed_mps - leader.speed_mps
+            if closing_mps * self.min_ttc_s > leader.gap_m > 0.0:
+                self.min_ttc_s = leader.gap_m / closing_mps
         if libsumo.simulation.getCollidingVehiclesNumber():
             for collision in libsumo.simulation.getCollisions():  # those among the others are none of its business
                 self.collisions += collision.collider == HOST
                 self.struck += collision.victim == HOST
-
-        if self._behind:
+            self.contact = bool(self.collisions or self.struck)
+        if len(self.speeds_mps) <= self._watched_until:
             self._note_behind()
+
+    def _look_ahead(self) -> Leader | None:
+        """Note who is ahead, and how that vehicle has sped up or braked over the last half second."""
+        ahead = libsumo.vehicle.getLeader(HOST, self._sight_m)
+        if not ahead or not ahead[0]:
+            self._leader, self._leader_name = None, ""
+            return None
+        name, gap_m = ahead
+        speeds_mps = self._leader_speeds_mps
+        if name != self._leader_name:
+            self._leader_name = name
+            speeds_mps.clear()
+        speed_mps = libsumo.vehicle.getSpeed(name)
+        speeds_mps.append(speed_mps)
+        seconds = max(len(speeds_mps) - 1, 1) * SECONDS_PER_STEP
+        self._leader = Leader(gap_m + self._adas.standstill_gap_m, speed_mps, (speed_mps - speeds_mps[0]) / seconds)
+        return self._leader
 
     def _watch_behind(self, side: int) -> None:
         """Watch the vehicle that is behind in the lane the host moves into now."""
@@ -291,42 +316,19 @@ class Host:
         if followers:
             name, _ = min(followers, key=lambda follower: follower[1])
             self._behind.append(_Watched(name, [libsumo.vehicle.getSpeed(name)]))
+            self._watched_until = len(self.speeds_mps) + WATCH_STEPS
 
     def _note_behind(self) -> None:
         """Note the speeds of those watched, who may leave the road."""
-        watched = [one for one in self._behind if len(one.speeds_mps) <= WATCH_STEPS]
-        on_road = set(libsumo.vehicle.getIDList()) if watched else set()
-        for one in watched:
-            if one.name in on_road:
-                one.speeds_mps.append(libsumo.vehicle.getSpeed(one.name))
+        on_road = libsumo.vehicle.getIDList()
+        for watched in self._behind:
+            if len(watched.speeds_mps) <= WATCH_STEPS and watched.name in on_road:
+                watched.speeds_mps.append(libsumo.vehicle.getSpeed(watched.name))
 
     @property
     def hard_brakings_behind(self) -> int:
         """How often those it moved in front of have braked hard within `WATCH_STEPS`."""
         return sum(hard_brakings(one.speeds_mps) for one in self._behind)
-
-    def _note_speed_and_leader(self) -> None:
-        speed = libsumo.vehicle.getSpeed(HOST)
-        self.speeds_mps.append(speed)
-        ahead = libsumo.vehicle.getLeader(HOST, acc.sight_m(speed, self._adas))
-        if not ahead or not ahead[0]:
-            self._leader, self._leader_name = None, ""
-            return
-        name, gap_m = ahead
-        speeds_mps = self._leader_speeds_mps
-        if name != self._leader_name:
-            self._leader_name = name
-            speeds_mps.clear()
-        speeds_mps.append(libsumo.vehicle.getSpeed(name))
-        seconds = max(len(speeds_mps) - 1, 1) * SECONDS_PER_STEP
-        acceleration_mps2 = (speeds_mps[-1] - speeds_mps[0]) / seconds
-        self._leader = Leader(gap_m + self._adas.standstill_gap_m, speeds_mps[-1], acceleration_mps2)
-
-    @property
-    def contact(self) -> bool:
-        """Whether the host has struck or been struck."""
-        return bool(self.collisions or self.struck)
-
 
 def _to_lane_end_m() -> float:
     return libsumo.lane.getLength(libsumo.vehicle.getLaneID(HOST)) - libsumo.vehicle.getLanePosition(HOST)

@@ -202,6 +202,11 @@ class Simulation:
         """Return a vehicle's odometer: metres driven since its insertion."""
         return libsumo.vehicle.getDistance(name)
 
+    def odometers_m(self) -> dict[str, float]:
+        """Return the odometer of every vehicle on the road, see `travelled_m`."""
+        read = libsumo.vehicle.getDistance
+        return {name: read(name) for name in libsumo.vehicle.getIDList()}
+
     def traffic_mps(self, edge: str, front_m: float) -> float | None:
         """Return the mean speed of the vehicles within `NEAR_ENTRY_M` of a place on an edge; None if there are none."""
         vehicle = libsumo.vehicle
@@ -251,22 +256,23 @@ class Simulation:
         """
         # Getters, not a context subscription: a standing one costs half a step more on every step, and one made for a
         # single look costs more than all the getters together.
-        vehicle, size, reach = libsumo.vehicle, self._size, self._context_m
-        host_x, host_y, host_z = vehicle.getPosition3D(HOST)
-        names, rows = [HOST], [host_x, host_y, vehicle.getAngle(HOST), vehicle.getSpeed(HOST), *size(HOST)]
-        for name in vehicle.getIDList():
-            x, y, z = vehicle.getPosition3D(name)
-            if abs(x - host_x) < reach and abs(y - host_y) < reach and abs(z - host_z) < STOREY_M and name != HOST:
+        position, angle, speed = libsumo.vehicle.getPosition3D, libsumo.vehicle.getAngle, libsumo.vehicle.getSpeed
+        sizes, reach = self._sizes, self._context_m
+        host_x, host_y, host_z = position(HOST)
+        names, rows = [HOST], [host_x, host_y, angle(HOST), speed(HOST), *(sizes.get(HOST) or self._size(HOST))]
+        for name in libsumo.vehicle.getIDList():
+            x, y, z = position(name)
+            if -reach < x - host_x < reach and -reach < y - host_y < reach and name != HOST:
+                if abs(z - host_z) >= STOREY_M:
+                    continue
                 names.append(name)
-                rows += (x, y, vehicle.getAngle(name), vehicle.getSpeed(name), *size(name))
+                rows += (x, y, angle(name), speed(name), *(sizes.get(name) or self._size(name)))
         vehicles = np.fromiter(rows, np.float64).reshape(len(names), -1)
         return Scene(libsumo.simulation.getTime(), names, *placing.boxes(vehicles))
 
     def _size(self, name: str) -> tuple[float, float]:
-        size = self._sizes.get(name)
-        if size is None:
-            size = self._sizes[name] = (libsumo.vehicle.getLength(name), libsumo.vehicle.getWidth(name))
-        return size
+        self._sizes[name] = (libsumo.vehicle.getLength(name), libsumo.vehicle.getWidth(name))
+        return self._sizes[name]
 
     # Time goes on.
 

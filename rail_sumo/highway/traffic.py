@@ -77,24 +77,24 @@ class MovingWindow:
             return
         tries = min(1.0, self._since_update_s / self._config.lane_change_every_s)
         self._since_update_s = 0.0
-        host_m = self._host_start_m + self._simulation.travelled_m(HOST)
-        ahead_m = self._ahead_m(host_m)
-        for name in [name for name, ahead in ahead_m.items() if not self._holds(ahead)]:
+        host_m, ahead_m = self._places_m()
+        outside = [name for name, ahead in ahead_m.items() if not -self._config.behind_m < ahead < self._config.ahead_m]
+        for name in outside:
             self._simulation.remove_vehicle(name)
             del self._start_m[name], ahead_m[name]
         self._order_lane_changes(ahead_m, tries, host_changing_lane)
         for _ in range(self._config.vehicles - len(ahead_m)):
             self._replace(host_m)
 
-    def _ahead_m(self, host_m: float) -> dict[str, float]:
-        """Return how far ahead of the host each vehicle is; one that SUMO found no room for is forgotten."""
-        on_road = self._simulation.on_road()
-        self._start_m = {name: start for name, start in self._start_m.items() if name in on_road}
-        travelled_m = self._simulation.travelled_m
-        return {name: start + travelled_m(name) - host_m for name, start in self._start_m.items()}
+    def _places_m(self) -> tuple[float, dict[str, float]]:
+        """Return the host's place on the course, and how far ahead of it each vehicle is.
 
-    def _holds(self, ahead_m: float) -> bool:
-        return -self._config.behind_m < ahead_m < self._config.ahead_m
+        A vehicle that SUMO found no room for is forgotten.
+        """
+        odometers_m = self._simulation.odometers_m()
+        host_m = self._host_start_m + odometers_m[HOST]
+        self._start_m = {name: start for name, start in self._start_m.items() if name in odometers_m}
+        return host_m, {name: start + odometers_m[name] - host_m for name, start in self._start_m.items()}
 
     def _replace(self, host_m: float) -> None:
         """Bring in one vehicle just inside an edge of the window; without room there, the next update tries again."""
@@ -121,10 +121,11 @@ class MovingWindow:
         self._start_m[name] = host_m + ahead_m
 
     def _order_lane_changes(self, ahead_m: dict[str, float], probability: float, host_changing_lane: bool) -> None:
-        draws = self._rng.random(len(ahead_m)).tolist()
-        for (name, ahead), draw in zip(ahead_m.items(), draws, strict=True):
-            if draw < probability and not (host_changing_lane and abs(ahead) < CLEAR_OF_CHANGE_M):
-                self._simulation.order_lane_change(name, 1 if draw < 0.5 * probability else -1)
+        draws, names = self._rng.random(len(ahead_m)), list(ahead_m)
+        for number in np.flatnonzero(draws < probability).tolist():
+            name = names[number]
+            if not (host_changing_lane and abs(ahead_m[name]) < CLEAR_OF_CHANGE_M):
+                self._simulation.order_lane_change(name, 1 if draws[number] < 0.5 * probability else -1)
 
     def _draw_speed_mps(self) -> float:
         return self._rng.uniform(self._config.speed_low_kmh, self._config.speed_high_kmh) / KMH
