@@ -313,6 +313,6 @@ def test_the_versions_are_told():
 
 
 def test_help_and_rollout_workers_import_nothing_slow():
-    slow = "{'torch', 'pandas', 'libsumo', 'scipy'} & set(sys.modules)"
+    slow = "{'torch', 'pandas', 'libsumo', 'scipy', 'numba'} & set(sys.modules)"
     code = f"import sys; from rail_sumo import cli; sys.exit(bool({slow}))"
     assert subprocess.run([sys.executable, "-c", code], check=False).returncode == 0
