@@ -3,7 +3,7 @@
 import math
 from dataclasses import dataclass
 from enum import IntEnum
-from typing import Literal
+from typing import Literal, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -45,8 +45,7 @@ class Scene:
     width_m: Floats
 
 
-@dataclass(frozen=True, slots=True)
-class HostState:
+class HostState(NamedTuple):
     """Where the host stands on its lane: what lane keeping and the gap gate steer by."""
 
     speed_mps: float
@@ -73,8 +72,7 @@ class HostState:
         return self.to_edge_end_m + self.leads_on_m[lane - self.rightmost_lane]
 
 
-@dataclass(frozen=True, slots=True)
-class Gaps:
+class Gaps(NamedTuple):
     """The gaps in a lane, bumper to bumper; a vehicle alongside makes one negative; inf if none."""
 
     ahead_m: float
@@ -83,8 +81,7 @@ class Gaps:
     behind_speed_mps: float
 
 
-@dataclass(frozen=True, slots=True)
-class Command:
+class Command(NamedTuple):
     """What the host's actuators do for the next `steps` SUMO steps."""
 
     speed_mps: float

@@ -1,4 +1,3 @@
-import dataclasses
 import math
 from itertools import pairwise
 
@@ -30,7 +29,7 @@ MIDDLE = HostState(
 ENDING = (0.0, 0.0, 0.0, math.inf, math.inf)
 """The three right lanes lead nowhere; whoever drives there stays on the edge."""
 FREE = Gaps(ahead_m=math.inf, ahead_speed_mps=0.0, behind_m=math.inf, behind_speed_mps=0.0)
-CLOSED = dataclasses.replace(FREE, ahead_m=1.0)
+CLOSED = FREE._replace(ahead_m=1.0)
 
 
 def free(side):
@@ -48,7 +47,7 @@ def closed_on(*sides):
 def at(lane=2, host=MIDDLE, **changes):
     """The host on another lane of the five, or otherwise changed."""
     beside = {"to_left_m": LANE_M if lane < 4 else 0.0, "to_right_m": LANE_M if lane > 0 else 0.0}
-    return dataclasses.replace(host, **beside | {"lane": lane} | changes)
+    return host._replace(**beside | {"lane": lane} | changes)
 
 
 def kmh(speed):
@@ -339,7 +338,7 @@ def test_a_change_into_a_free_lane_is_allowed_whatever_the_other_lanes_hold(adas
 )
 def test_the_gate_opens_where_nobody_need_brake_beyond_3_5_mps2_and_not_a_hair_before(which, speed_mps, least_m):
     def allows(gap_m):
-        gap = dataclasses.replace(FREE, **{f"{which}_m": gap_m, f"{which}_speed_mps": speed_mps})
+        gap = FREE._replace(**{f"{which}_m": gap_m, f"{which}_speed_mps": speed_mps})
         return Adas(config.Adas(), start_mps=60.0 / KMH).allowed(MIDDLE, lambda side: gap)[LEFT]
 
     assert allows(least_m + 1e-6)
@@ -347,15 +346,15 @@ def test_the_gate_opens_where_nobody_need_brake_beyond_3_5_mps2_and_not_a_hair_b
 
 
 def test_the_gate_counts_with_the_hosts_own_time_gap_and_standstill_gap():
-    gap = dataclasses.replace(FREE, ahead_m=5 + 1.5 * 10 + (20**2 - 10**2) / (2 * 3.5) + 1e-6, ahead_speed_mps=10.0)
+    gap = FREE._replace(ahead_m=5 + 1.5 * 10 + (20**2 - 10**2) / (2 * 3.5) + 1e-6, ahead_speed_mps=10.0)
     careful = config.Adas(time_gap_s=1.5, standstill_gap_m=5.0)
-    nearer = dataclasses.replace(gap, ahead_m=gap.ahead_m - 2e-6)
+    nearer = gap._replace(ahead_m=gap.ahead_m - 2e-6)
     assert Adas(careful, start_mps=20.0).allowed(MIDDLE, lambda side: gap)[LEFT]
     assert not Adas(careful, start_mps=20.0).allowed(MIDDLE, lambda side: nearer)[LEFT]
 
 
 def test_a_vehicle_alongside_closes_the_gate(adas):
-    alongside = dataclasses.replace(FREE, behind_m=-3.0, behind_speed_mps=20.0)
+    alongside = FREE._replace(behind_m=-3.0, behind_speed_mps=20.0)
     assert adas.allowed(MIDDLE, lambda side: alongside) == [True, True, True, False, False]
 
 
@@ -417,7 +416,7 @@ def test_once_across_the_way_back_needs_a_gap_in_the_lane_it_came_from(road):
 def test_once_across_the_way_back_needs_road_enough(road):
     road.decide(LEFT)
     road.step(12)
-    road.host = dataclasses.replace(road.host, to_edge_end_m=30.0)
+    road.host = road.host._replace(to_edge_end_m=30.0)
     assert not road.adas.allowed(road.host, road.gaps)[RIGHT]
     road.decide(RIGHT)
     assert road.adas.refused_decisions == 1
@@ -497,7 +496,7 @@ def test_300_m_before_the_end_of_a_lane_the_host_leaves_it_whatever_is_decided(a
     before = at(lane=0, to_edge_end_m=301.0, leads_on_m=ending(*lanes))
     adas.decide(action, before, free)
     assert not adas.changing_lane
-    adas.decide(action, dataclasses.replace(before, to_edge_end_m=299.0), free)
+    adas.decide(action, before._replace(to_edge_end_m=299.0), free)
     assert adas.side == 1
     adas.command(before, free, steps=1)
     assert adas.lateral_m == pytest.approx(STRIDE_M)
@@ -523,7 +522,7 @@ def test_a_lane_that_ends_beyond_the_next_edges_is_left_as_early(adas):
     before = at(lane=0, to_edge_end_m=60.0, leads_on_m=ending(0, after_m=241.0))
     adas.decide(KEEP, before, free)
     assert not adas.changing_lane
-    adas.decide(KEEP, dataclasses.replace(before, to_edge_end_m=58.0), free)
+    adas.decide(KEEP, before._replace(to_edge_end_m=58.0), free)
     assert adas.side == 1
 
 
@@ -552,7 +551,7 @@ def test_where_every_lane_ends_or_none_the_host_stays(adas):
 def test_near_its_end_nobody_changes_into_a_lane_that_ends(adas):
     beside = at(lane=1, to_edge_end_m=301.0, leads_on_m=ending(0))
     assert adas.allowed(beside, free)[RIGHT]
-    near = dataclasses.replace(beside, to_edge_end_m=299.0)
+    near = beside._replace(to_edge_end_m=299.0)
     assert adas.allowed(near, free) == [True, True, True, True, False]
     adas.decide(RIGHT, near, free)
     assert (adas.changing_lane, adas.refused_decisions) == (False, 1)

@@ -81,7 +81,7 @@ class HighwayEnv(gymnasium.Env[Floats, np.int64]):
         self._simulation: Simulation | None = None
         self._end: EndReason | None = None
 
-    @sumo_errors.as_input_errors()
+    @sumo_errors.as_input_errors
     def reset(self, *, seed: int | None = None, options: dict[str, Any] | None = None) -> tuple[Floats, dict[str, Any]]:
         """Begin an episode; the same seed gives the same traffic."""
         super().reset(seed=seed)
@@ -164,7 +164,7 @@ class HighwayEnv(gymnasium.Env[Floats, np.int64]):
         info = {"end_reason": self._end, "trajectory": self.trajectory()} if self.is_over else {}
         return observation, earned, crashed, self.is_over and not crashed, info
 
-    @sumo_errors.as_input_errors()
+    @sumo_errors.as_input_errors
     def drive(self, action: int) -> tuple[Floats, int]:
         """Take one decision and drive until the next falls due; returns the next observation and the steps driven.
 
@@ -211,12 +211,9 @@ class HighwayEnv(gymnasium.Env[Floats, np.int64]):
         if self._window is not None:
             self._window.update(elapsed_s=driven * SECONDS_PER_STEP, host_changing_lane=adas.changing_lane)
         self._observation = self._layout.observe(
-            *self._scan(scene), speed_mps=scene.speed_mps[0], lateral_m=adas.lateral_m
+            *self._lidar.scan(scene), speed_mps=scene.speed_mps[0], lateral_m=adas.lateral_m
         )
         return self._observation
-
-    def _scan(self, scene: Scene) -> tuple[Floats, Floats]:
-        return self._lidar.scan(scene)
 
     def _why_over(self) -> EndReason | None:
         assert self._simulation is not None

@@ -330,6 +330,7 @@ class Host:
         """How often those it moved in front of have braked hard within `WATCH_STEPS`."""
         return sum(hard_brakings(one.speeds_mps) for one in self._behind)
 
+
 def _to_lane_end_m() -> float:
     return libsumo.lane.getLength(libsumo.vehicle.getLaneID(HOST)) - libsumo.vehicle.getLanePosition(HOST)
 

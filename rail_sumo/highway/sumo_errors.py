@@ -2,8 +2,10 @@
 
 import os
 import tempfile
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager
+from functools import wraps
+from typing import ParamSpec, TypeVar
 
 import libsumo
 
@@ -13,21 +15,29 @@ from rail_sumo.highway.demand import HOST
 SUMO_ERRORS = (libsumo.TraCIException, libsumo.FatalTraCIError)
 
 
-@contextmanager
-def as_input_errors() -> Iterator[None]:
-    """Turn SUMO's errors into `InputError`; also a decorator.
+Given = ParamSpec("Given")
+Returned = TypeVar("Returned")
+
+
+def as_input_errors(function: Callable[Given, Returned]) -> Callable[Given, Returned]:
+    """Turn SUMO's errors in a function into `InputError`.
 
     libsumo's own exceptions cannot be pickled, so they would not reach the parent of a worker.
     """
-    try:
-        yield
-    except SUMO_ERRORS as error:
-        if f"'{HOST}'" in str(error):
-            raise InputError(
-                "the host was taken off the road; keep rerouters, vaporizers and the like on its course out of "
-                f"traffic.additional (SUMO: {error})"
-            ) from None
-        raise InputError(f"SUMO stopped: {error}") from None
+
+    @wraps(function)
+    def guarded(*args: Given.args, **kwargs: Given.kwargs) -> Returned:
+        try:
+            return function(*args, **kwargs)
+        except SUMO_ERRORS as error:
+            if f"'{HOST}'" in str(error):
+                raise InputError(
+                    "the host was taken off the road; keep rerouters, vaporizers and the like on its course out of "
+                    f"traffic.additional (SUMO: {error})"
+                ) from None
+            raise InputError(f"SUMO stopped: {error}") from None
+
+    return guarded
 
 
 def start(arguments: list[str]) -> None:
