@@ -15,8 +15,9 @@ setup: $(VENV)/installed
 train: setup
 	$(BIN)/rail-sumo train --out $(OUT) $(ARGS)
 
+# A test process on every core, since libsumo holds one simulation in a process. In one process: make test ARGS="-n 0"
 test: setup
-	$(BIN)/pytest $(ARGS)
+	$(BIN)/pytest -n auto --dist loadgroup $(ARGS)
 
 lint: setup
 	$(BIN)/ruff check .

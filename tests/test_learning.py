@@ -7,6 +7,8 @@ from scipy import stats
 from rail_sumo import config, run
 from rail_sumo.imitation.discriminator import Judge
 
+pytestmark = pytest.mark.xdist_group("learning")  # `by_its_judge` is trained once
+
 SHORT = (
     "cloning.epochs=20",  # a clone that leaves something to gain
     "train.iterations=30",
