@@ -9,7 +9,7 @@ import pytest
 from rail_sumo import config
 from rail_sumo.highway import road
 from rail_sumo.highway.simulation import HOST, Simulation
-from rail_sumo.highway.traffic import CLEAR_OF_CHANGE_M, START_GAP_M, MovingWindow
+from rail_sumo.highway.traffic import CLEAR_OF_HOST_M, START_GAP_M, MovingWindow
 from rail_sumo.records import KMH, Command
 
 START_M = 200.0
@@ -159,10 +159,10 @@ def changes(begun, seconds, *, host_changing_lane=False):
 
 
 def test_lane_changes_come_as_often_as_configured_and_never_when_switched_off(window):
-    # On average every 10 s a try; a fifth of them leads off the road, and more find no gap.
+    # On average every 10 s a try; a fifth of them leads off the road, more find no gap, and some would meet another's.
     made, watched_s = changes(window(3, lane_change_every_s=10.0), 300.0)
     tries = watched_s / 10.0
-    assert 0.4 * tries < len(made) < 0.8 * tries + 4 * math.sqrt(tries)
+    assert 0.35 * tries < len(made) < 0.8 * tries + 4 * math.sqrt(tries)
     rarely, watched_s = changes(window(3, lane_change_every_s=100.0), 300.0)
     assert len(rarely) < 0.8 * watched_s / 100.0 + 4 * math.sqrt(watched_s / 100.0)
     assert changes(window(3, lane_change_every_s=math.inf), 300.0)[0] == []
@@ -178,7 +178,7 @@ def test_however_often_they_try_they_change_to_both_sides(window):
 
 def test_nobody_near_begins_a_lane_change_while_the_host_is_changing_lanes(window):
     reach_m = 2.0 * 40 / KMH
-    near = CLEAR_OF_CHANGE_M - reach_m
+    near = CLEAR_OF_HOST_M - reach_m
     while_it_keeps, _ = changes(window(4, lane_change_every_s=4.0), 300.0)
     while_it_changes, _ = changes(window(4, lane_change_every_s=4.0), 300.0, host_changing_lane=True)
     assert sum(distance < near for distance in while_it_keeps) >= 5  # so the next line can fail
@@ -243,7 +243,9 @@ def test_a_vehicle_ordered_off_the_road_or_into_another_stays_where_it_is():
             )
         simulation.wait_for_host()
         for name, side in (("right", -1), ("left", 1), ("beside", 1), ("free", 1)):
-            simulation.order_lane_change(name, side)
+            lane = simulation.lane_beside(name, side)
+            if lane is not None:
+                simulation.order_lane_change(name, lane)
         simulation.run(Command(20.0, steps=50))
         lanes = {name: libsumo.vehicle.getLaneIndex(name) for name in ("right", "left", "beside", "free")}
         assert lanes == {"right": 0, "left": 4, "beside": 3, "free": 2}
@@ -252,9 +254,9 @@ def test_a_vehicle_ordered_off_the_road_or_into_another_stays_where_it_is():
 def test_those_far_behind_the_host_change_lanes_while_it_does(window, monkeypatch):
     begun = window(vehicles=40, lane_change_every_s=2.0)
     ordered = []
-    monkeypatch.setattr(begun.simulation, "order_lane_change", lambda name, side: ordered.append(begun.ahead_m()[name]))
+    monkeypatch.setattr(begun.simulation, "order_lane_change", lambda name, lane: ordered.append(begun.ahead_m()[name]))
     for _ in range(10):
         begun.drive(host_changing_lane=True)
-    assert min(ordered) < -CLEAR_OF_CHANGE_M - 10.0
-    assert max(ordered) > CLEAR_OF_CHANGE_M + 10.0
-    assert np.abs(ordered).min() >= CLEAR_OF_CHANGE_M - 1.0
+    assert min(ordered) < -CLEAR_OF_HOST_M - 10.0
+    assert max(ordered) > CLEAR_OF_HOST_M + 10.0
+    assert np.abs(ordered).min() >= CLEAR_OF_HOST_M - 1.0

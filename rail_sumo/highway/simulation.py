@@ -176,15 +176,15 @@ class Simulation:
         libsumo.vehicle.remove(name)
         self._sizes.pop(name, None)
 
-    def order_lane_change(self, name: str, side: int) -> None:
-        """Tell a vehicle to change to the left (+1) or right (-1) when it next decides.
-
-        It does if there is a lane and the gap is safe; else nothing happens.
-        """
+    def lane_beside(self, name: str, side: int) -> int | None:
+        """Return the lane to a vehicle's left (+1) or right (-1); None if there is none, or it is off the course."""
         edge = self._edges.get(libsumo.vehicle.getRoadID(name))
         lane = libsumo.vehicle.getLaneIndex(name) + side
-        if edge is not None and lane in edge.lanes:
-            libsumo.vehicle.changeLane(name, lane, DECIDES_EVERY_S)
+        return lane if edge is not None and lane in edge.lanes else None
+
+    def order_lane_change(self, name: str, lane: int) -> None:
+        """Tell a vehicle of the made traffic to change to a lane when it next decides; it does if the gap is safe."""
+        libsumo.vehicle.changeLane(name, lane, DECIDES_EVERY_S)
 
     def on_road(self) -> set[str]:
         """Return the names of all vehicles that have been inserted and have not arrived."""

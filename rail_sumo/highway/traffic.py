@@ -11,9 +11,9 @@ from rail_sumo.records import KMH
 
 START_GAP_M = 30.0
 """Room around a vehicle in its lane when it appears."""
-CLEAR_OF_CHANGE_M = 40.0
-"""Nobody this near the host begins a lane change while the host is changing lanes: two drivers who move into the same
-lane from either side do not see each other until it is late."""
+CLEAR_OF_HOST_M, CLEAR_OF_ANOTHER_M = 40.0, 20.0
+"""Nobody this near the host begins a lane change while the host is changing lanes, and of two vehicles this near each
+other only one is told to move into a lane: drivers who move into it from either side do not see each other in time."""
 
 PERIOD_S = 2.0
 """How often the window looks for vehicles that have left it."""
@@ -77,24 +77,21 @@ class MovingWindow:
             return
         tries = min(1.0, self._since_update_s / self._config.lane_change_every_s)
         self._since_update_s = 0.0
-        host_m, ahead_m = self._places_m()
-        outside = [name for name, ahead in ahead_m.items() if not -self._config.behind_m < ahead < self._config.ahead_m]
-        for name in outside:
-            self._simulation.remove_vehicle(name)
-            del self._start_m[name], ahead_m[name]
+        odometers_m = self._simulation.odometers_m()
+        host_m = self._host_start_m + odometers_m[HOST]
+        ahead_m: dict[str, float] = {}
+        for name, start_m in self._start_m.items():
+            if name not in odometers_m:
+                continue  # SUMO found no room for it
+            ahead = start_m + odometers_m[name] - host_m
+            if -self._config.behind_m < ahead < self._config.ahead_m:
+                ahead_m[name] = ahead
+            else:
+                self._simulation.remove_vehicle(name)
+        self._start_m = {name: self._start_m[name] for name in ahead_m}
         self._order_lane_changes(ahead_m, tries, host_changing_lane)
         for _ in range(self._config.vehicles - len(ahead_m)):
             self._replace(host_m)
-
-    def _places_m(self) -> tuple[float, dict[str, float]]:
-        """Return the host's place on the course, and how far ahead of it each vehicle is.
-
-        A vehicle that SUMO found no room for is forgotten.
-        """
-        odometers_m = self._simulation.odometers_m()
-        host_m = self._host_start_m + odometers_m[HOST]
-        self._start_m = {name: start for name, start in self._start_m.items() if name in odometers_m}
-        return host_m, {name: start + odometers_m[name] - host_m for name, start in self._start_m.items()}
 
     def _replace(self, host_m: float) -> None:
         """Bring in one vehicle just inside an edge of the window; without room there, the next update tries again."""
@@ -121,11 +118,15 @@ class MovingWindow:
         self._start_m[name] = host_m + ahead_m
 
     def _order_lane_changes(self, ahead_m: dict[str, float], probability: float, host_changing_lane: bool) -> None:
-        draws, names = self._rng.random(len(ahead_m)), list(ahead_m)
-        for number in np.flatnonzero(draws < probability).tolist():
-            name = names[number]
-            if not (host_changing_lane and abs(ahead_m[name]) < CLEAR_OF_CHANGE_M):
-                self._simulation.order_lane_change(name, 1 if draws[number] < 0.5 * probability else -1)
+        moves: list[tuple[int, float]] = []  # the lanes that vehicles move into, and how far ahead of the host
+        for name, draw in zip(ahead_m, self._rng.random(len(ahead_m)).tolist(), strict=True):
+            if draw >= probability or (host_changing_lane and abs(ahead_m[name]) < CLEAR_OF_HOST_M):
+                continue
+            lane = self._simulation.lane_beside(name, 1 if draw < 0.5 * probability else -1)
+            beside_m = [place_m for other, place_m in moves if other == lane]
+            if lane is not None and all(abs(ahead_m[name] - place_m) >= CLEAR_OF_ANOTHER_M for place_m in beside_m):
+                self._simulation.order_lane_change(name, lane)
+                moves.append((lane, ahead_m[name]))
 
     def _draw_speed_mps(self) -> float:
         return self._rng.uniform(self._config.speed_low_kmh, self._config.speed_high_kmh) / KMH
