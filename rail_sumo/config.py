@@ -69,7 +69,7 @@ class Traffic(_Section):
     additional: tuple[str, ...] = ()
     """SUMO's additional files: stops, signal programs, variable speed signs and the like. What detectors in them
     report is not kept, and nothing in them may take the host off the road."""
-    vehicles: Annotated[int, Field(ge=0, le=500)] = 16
+    vehicles: Annotated[int, Field(ge=0, le=500)] = 18
     """In the moving window, beside the host."""
     ahead_m: Annotated[float, Field(ge=50.0, le=2000.0)] = 250.0
     """How far the window reaches ahead of the host."""

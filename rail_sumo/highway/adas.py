@@ -213,14 +213,15 @@ def _within_limits(speed_mps: float, host: HostState, config: config.Adas, *, st
     seconds = steps * SECONDS_PER_STEP
     fastest = max(host.speed_mps, min(speed_mps, host.speed_mps + config.acceleration_mps2 * seconds))
     travel_m = fastest * seconds
-    allowed = [speed_mps, _approaching(host.limit_mps, host, 0.0, travel_m, comfort)]
+    allowed = min(speed_mps, _approaching(host.limit_mps, host, 0.0, travel_m, comfort))
     for beyond_m, limit in host.limits_ahead:
-        allowed.append(_approaching(limit, host, host.to_edge_end_m + beyond_m, travel_m, comfort))
-    lane_end = (host.ends_in_m(host.lane) - LANE_END_SHORT_M, 0.0)
-    for ahead_m, slow in (*host.stops_ahead, lane_end):
+        allowed = min(allowed, _approaching(limit, host, host.to_edge_end_m + beyond_m, travel_m, comfort))
+    lane_ends_in_m = host.ends_in_m(host.lane)
+    lane_end = () if math.isinf(lane_ends_in_m) else ((lane_ends_in_m - LANE_END_SHORT_M, 0.0),)
+    for ahead_m, slow in (*host.stops_ahead, *lane_end):
         it_takes = (host.speed_mps**2 - slow**2) / (2 * max(ahead_m, TOUCH_M))
-        allowed.append(_approaching(slow, host, ahead_m, travel_m, min(max(it_takes, comfort), hardest)))
-    return min(allowed)
+        allowed = min(allowed, _approaching(slow, host, ahead_m, travel_m, min(max(it_takes, comfort), hardest)))
+    return allowed
 
 
 def _approaching(limit_mps: float, host: HostState, ahead_m: float, travel_m: float, braking_mps2: float) -> float:

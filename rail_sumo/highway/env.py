@@ -129,10 +129,8 @@ class HighwayEnv(gymnasium.Env[Floats, np.int64]):
                     f"no vehicle of the demand is on the road at {traffic.begin_s + traffic.warm_up_s:.0f} s; set "
                     f"traffic.begin_s to a time with traffic, or lengthen traffic.warm_up_s"
                 )
-        enters_mps = start_mps
-        if self._demand and adas.start_speed_kmh == "limit*3/4":
-            enters_mps = simulation.traffic_mps(edge.id, place[1]) or start_mps
-        simulation.add_host(edges, lane=lane, front_m=place[1], speed_mps=enters_mps)
+        as_traffic = bool(self._demand) and adas.start_speed_kmh == "limit*3/4"
+        simulation.add_host(edges, lane=lane, front_m=place[1], speed_mps=start_mps, as_traffic=as_traffic)
         self._window: MovingWindow | None = None
         if not self._demand:
             self._window = MovingWindow(

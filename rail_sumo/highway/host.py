@@ -239,12 +239,9 @@ class Host:
 
     def obey(self, command: Command) -> None:
         """Let the next step, and those after it, carry a command out."""
-        vehicle, signals, hardest = libsumo.vehicle, self._signals(), self._adas.emergency_braking_mps2
-        speed = vehicle.getSpeed(HOST)
-        drives_on = any(not one.is_green and not one.stops(speed, braking_mps2=hardest) for one in signals[:1])
-        if drives_on != self._drives_on:
-            vehicle.setSpeedMode(HOST, IGNORE_SIGNALS if drives_on else SUMO_SPEED_MODE)
-            self._drives_on = drives_on
+        vehicle = libsumo.vehicle
+        if self._meets_others:
+            self._heed_signals()
         self._set_mps = command.speed_mps
         if command.cross:
             vehicle.changeLane(HOST, vehicle.getLaneIndex(HOST) + command.cross, 0.0)
@@ -252,6 +249,14 @@ class Host:
         if command.lateral_m != self._lateral_m:
             vehicle.setLateralLanePosition(HOST, command.lateral_m)
             self._lateral_m = command.lateral_m
+
+    def _heed_signals(self) -> None:
+        """Have SUMO drive past a signal for which it is too late to stop, and note what all of them show."""
+        signals, hardest, speed_mps = self._signals(), self._adas.emergency_braking_mps2, self.speeds_mps[-1]
+        drives_on = any(not one.is_green and not one.stops(speed_mps, braking_mps2=hardest) for one in signals[:1])
+        if drives_on != self._drives_on:
+            libsumo.vehicle.setSpeedMode(HOST, IGNORE_SIGNALS if drives_on else SUMO_SPEED_MODE)
+            self._drives_on = drives_on
         self._shown = self._shows(signals)
         self._is_unsure = drives_on or any(signal.is_yellow for signal in signals)
 

@@ -16,15 +16,19 @@ from rail_sumo.highway.host import HOST_TYPE, Host, way_of
 from rail_sumo.highway.road import Road
 from rail_sumo.records import SECONDS_PER_STEP, Command, Scene
 
-# Ids that no demand of a user's has; the types' are those of `TYPES`.
+# Ids that no demand of a user's has; the types' are those of the two files below.
 TRAFFIC_TYPE = f"{OURS}traffic_"
 """Followed by the car-following model's name."""
 ROUTE = f"{OURS}route"
 DECIDES_EVERY_S = 0.5
 """How often a vehicle of the made traffic decides: its types' `actionStepLength`."""
-TYPES = Path(__file__).with_name("types.add.xml")
-"""The types as SUMO has them by default, whatever a user's demand says of its default; the made traffic decides every
-0.5 s, which halves what it costs, and calms it."""
+ORDER_ROOM_M = 30.0
+"""Farther than any vehicle drives in that time."""
+HOST_TYPES = Path(__file__).with_name("host.add.xml")
+TRAFFIC_TYPES = Path(__file__).with_name("traffic.add.xml")
+"""The types as SUMO has them by default, whatever a user's demand says of its default. The made traffic decides every
+0.5 s, which halves what it costs, and brakes by 3 m/s², which calms it. Its types are kept away from a user's demand:
+one type with an `actionStepLength` of its own, though nobody is of it, makes SUMO drive everybody differently."""
 
 RESPECT_OTHERS_GAPS = 512
 """Lane-change mode: no change of its own accord; a commanded one waits for a gap that is safe to others."""
@@ -90,11 +94,12 @@ class Simulation:
         self._prefix = f"{OURS}{os.getpid()}_"
         self._written = folders_written(additional)
         self._outputs = outputs
+        types = (HOST_TYPES,) if routes else (HOST_TYPES, TRAFFIC_TYPES)
         sumo_errors.start(
             [
                 *("--net-file", str(road.net_file)),
                 *(("--route-files", ",".join(map(str, routes))) if routes else ()),
-                *("--additional-files", ",".join(map(str, (TYPES, *additional))), "--begin", str(begin_s)),
+                *("--additional-files", ",".join(map(str, (*types, *additional))), "--begin", str(begin_s)),
                 *("--step-length", str(SECONDS_PER_STEP), "--seed", str(seed % SEEDS)),
                 *("--collision.action", "warn", "--collision.mingap-factor", "0", "--time-to-teleport", "-1"),
                 *("--collision.check-junctions", "true"),
@@ -149,14 +154,19 @@ class Simulation:
         libsumo.vehicle.setMaxSpeed(name, desired_speed_mps)
         libsumo.vehicle.setLaneChangeMode(name, LEAVE_ENDING_LANES)
 
-    def add_host(self, edges: Sequence[str], *, lane: int, front_m: float, speed_mps: float) -> None:
+    def add_host(
+        self, edges: Sequence[str], *, lane: int, front_m: float, speed_mps: float, as_traffic: bool = False
+    ) -> None:
         """Insert the host; it stands in the first scene after the next step unless there is no room for it.
 
-        Where it may not drive as fast as that, it enters as fast as it may.
+        Where it may not drive as fast as `speed_mps`, it enters as fast as it may. With `as_traffic` it enters as fast
+        as the vehicles drive that are there, if there are any.
         """
-        self._start_mps = min(speed_mps, libsumo.lane.getMaxSpeed(f"{edges[0]}_{lane}"))
+        limit_mps = libsumo.lane.getMaxSpeed(f"{edges[0]}_{lane}")
+        there_mps = self.traffic_mps(edges[0], lane, front_m) if as_traffic else None
+        self._start_mps = limit_mps if as_traffic else min(speed_mps, limit_mps)
         self._start = (edges, lane, front_m)
-        self._enter(f"{self._start_mps:.3f}")
+        self._enter(f"{min(speed_mps if there_mps is None else there_mps, limit_mps):.3f}")
 
     def _enter(self, speed: str) -> None:
         self._add(HOST, HOST_TYPE, *self._start, speed)
@@ -177,10 +187,16 @@ class Simulation:
         self._sizes.pop(name, None)
 
     def lane_beside(self, name: str, side: int) -> int | None:
-        """Return the lane to a vehicle's left (+1) or right (-1); None if there is none, or it is off the course."""
+        """Return the lane to a vehicle's left (+1) or right (-1) that it could be ordered into.
+
+        None if there is none, the vehicle is off the course, or it soon leaves its edge: SUMO crashes over an order
+        that still holds on the next.
+        """
         edge = self._edges.get(libsumo.vehicle.getRoadID(name))
         lane = libsumo.vehicle.getLaneIndex(name) + side
-        return lane if edge is not None and lane in edge.lanes else None
+        if edge is None or lane not in edge.lanes:
+            return None
+        return lane if libsumo.vehicle.getLanePosition(name) < edge.length_m - ORDER_ROOM_M else None
 
     def order_lane_change(self, name: str, lane: int) -> None:
         """Tell a vehicle of the made traffic to change to a lane when it next decides; it does if the gap is safe."""
@@ -207,12 +223,12 @@ class Simulation:
         read = libsumo.vehicle.getDistance
         return {name: read(name) for name in libsumo.vehicle.getIDList()}
 
-    def traffic_mps(self, edge: str, front_m: float) -> float | None:
-        """Return the mean speed of the vehicles within `NEAR_ENTRY_M` of a place on an edge; None if there are none."""
+    def traffic_mps(self, edge: str, lane: int, front_m: float) -> float | None:
+        """Return the mean speed of the vehicles within `NEAR_ENTRY_M` of a place on a lane; None if there are none."""
         vehicle = libsumo.vehicle
         near = [
             vehicle.getSpeed(name)
-            for name in libsumo.edge.getLastStepVehicleIDs(edge)
+            for name in libsumo.lane.getLastStepVehicleIDs(f"{edge}_{lane}")
             if abs(vehicle.getLanePosition(name) - front_m) < NEAR_ENTRY_M
         ]
         return fmean(near) if near else None
