@@ -55,15 +55,13 @@ def following_mps(speed_mps: float, leader: Leader, adas: Adas) -> float:
     The host brakes evenly towards its time gap: comfortably where it sees the leader in time, else as hard as it takes,
     up to `hardest_braking_mps2`.
     """
-    return _following_mps(
-        speed_mps,
-        leader.gap_m - adas.standstill_gap_m,
-        leader.speed_mps,
-        leader.acceleration_mps2,
-        adas.time_gap_s,
-        adas.comfort_braking_mps2,
-        adas.emergency_braking_mps2,
+    gap_m, leader_mps, leader_acceleration_mps2 = leader
+    room_m, leader_braking_mps2 = gap_m - adas.standstill_gap_m, max(-leader_acceleration_mps2, 0.0)
+    comfort, emergency = adas.comfort_braking_mps2, adas.emergency_braking_mps2
+    acceleration_mps2 = _acceleration_mps2(
+        speed_mps, room_m, leader_mps, leader_braking_mps2, adas.time_gap_s, comfort, emergency
     )
+    return max(0.0, speed_mps + acceleration_mps2 * SECONDS_PER_STEP)
 
 
 @compiled("float64(float64)")
@@ -107,19 +105,18 @@ def _needed_mps2(
 
 
 @compiled("float64(float64, float64, float64, float64, float64, float64, float64)")
-def _following_mps(
+def _acceleration_mps2(
     speed_mps: float,
     room_m: float,
     leader_mps: float,
-    leader_acceleration_mps2: float,
+    leader_braking_mps2: float,
     time_gap_s: float,
     comfort_braking_mps2: float,
     emergency_braking_mps2: float,
 ) -> float:
     hardest = min(hardest_braking_mps2(speed_mps), emergency_braking_mps2)
-    needed = _needed_mps2(speed_mps, room_m, leader_mps, max(-leader_acceleration_mps2, 0.0), time_gap_s)
+    needed = _needed_mps2(speed_mps, room_m, leader_mps, leader_braking_mps2, time_gap_s)
     braking = min(max(needed, comfort_braking_mps2), hardest)
     soon_m = room_m - (speed_mps - leader_mps) * RESPONSE_S
     aim_mps = _allowed_mps(soon_m, leader_mps, braking, time_gap_s)
-    acceleration = max((aim_mps - speed_mps) / RESPONSE_S, -braking)
-    return max(0.0, speed_mps + acceleration * SECONDS_PER_STEP)
+    return max((aim_mps - speed_mps) / RESPONSE_S, -braking)

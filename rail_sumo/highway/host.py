@@ -285,11 +285,11 @@ class Host:
         """Note what the last step has come to."""
         speed_mps = libsumo.vehicle.getSpeed(HOST)
         self.speeds_mps.append(speed_mps)
-        leader = self._look_ahead()
-        if leader is not None:
-            closing_mps = speed_mps - leader.speed_mps
-            if closing_mps * self.min_ttc_s > leader.gap_m > 0.0:
-                self.min_ttc_s = leader.gap_m / closing_mps
+        self._look_ahead()
+        if self._leader is not None:
+            gap_m, leader_mps, _ = self._leader
+            if (speed_mps - leader_mps) * self.min_ttc_s > gap_m > 0.0:
+                self.min_ttc_s = gap_m / (speed_mps - leader_mps)
         if libsumo.simulation.getCollidingVehiclesNumber():
             for collision in libsumo.simulation.getCollisions():  # those among the others are none of its business
                 self.collisions += collision.collider == HOST
@@ -298,12 +298,12 @@ class Host:
         if len(self.speeds_mps) <= self._watched_until:
             self._note_behind()
 
-    def _look_ahead(self) -> Leader | None:
-        """Note who is ahead, and how that vehicle has sped up or braked over the last half second."""
+    def _look_ahead(self) -> None:
+        """Note who is ahead, how fast, and how that vehicle has sped up or braked over the last half second."""
         ahead = libsumo.vehicle.getLeader(HOST, self._sight_m)
         if not ahead or not ahead[0]:
             self._leader, self._leader_name = None, ""
-            return None
+            return
         name, gap_m = ahead
         speeds_mps = self._leader_speeds_mps
         if name != self._leader_name:
@@ -313,7 +313,6 @@ class Host:
         speeds_mps.append(speed_mps)
         seconds = max(len(speeds_mps) - 1, 1) * SECONDS_PER_STEP
         self._leader = Leader(gap_m + self._adas.standstill_gap_m, speed_mps, (speed_mps - speeds_mps[0]) / seconds)
-        return self._leader
 
     def _watch_behind(self, side: int) -> None:
         """Watch the vehicle that is behind in the lane the host moves into now."""
