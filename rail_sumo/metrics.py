@@ -14,8 +14,7 @@ from rail_sumo.records import KMH, SECONDS_PER_STEP, Trajectory
 def row(trajectory: Trajectory, adas: Adas) -> dict[str, Any]:
     """Return an episode's row of the `episodes` table, without its columns `policy` and `episode`.
 
-    The trajectory holds at least one step. SUMO moves a vehicle by its new speed for the whole step (Euler), so the
-    sum of the speeds after each step is exactly the distance.
+    The trajectory holds at least one step.
     """
     speed_mps = trajectory.speed_mps[1:]
     braking_mps2 = -np.diff(trajectory.speed_mps) / SECONDS_PER_STEP
@@ -23,8 +22,8 @@ def row(trajectory: Trajectory, adas: Adas) -> dict[str, Any]:
         "seed": trajectory.seed,
         "network": trajectory.network,
         "duration_s": len(speed_mps) * SECONDS_PER_STEP,
-        "distance_m": float(speed_mps.sum()) * SECONDS_PER_STEP,
-        "speed_kmh": float(speed_mps.mean()) * KMH,
+        "distance_m": trajectory.distance_m,
+        "speed_kmh": _speed_kmh(trajectory),
         "overtakes": trajectory.overtakes,
         "overtaken": trajectory.overtaken,
         "lane_changes": trajectory.lane_changes,
@@ -45,7 +44,16 @@ def row(trajectory: Trajectory, adas: Adas) -> dict[str, Any]:
 def means(trajectories: Sequence[Trajectory]) -> dict[str, float]:
     """Return what an observer is told of episodes, one or more: the means of some of the table's columns."""
     return {
-        "speed_kmh": float(np.mean([trajectory.speed_mps[1:].mean() for trajectory in trajectories])) * KMH,
+        "speed_kmh": float(np.mean([_speed_kmh(trajectory) for trajectory in trajectories])),
         "overtakes": float(np.mean([trajectory.overtakes for trajectory in trajectories])),
         "lane_changes": float(np.mean([trajectory.lane_changes for trajectory in trajectories])),
     }
+
+
+def _speed_kmh(trajectory: Trajectory) -> float:
+    """Return distance over duration.
+
+    SUMO moves vehicles by their new speed for the whole step (Euler), or by the mean of the old and the new one
+    (ballistic) as soon as any vehicle type has an `actionStepLength` of its own, as those of the made traffic do.
+    """
+    return trajectory.distance_m / (len(trajectory.limit_mps) * SECONDS_PER_STEP) * KMH

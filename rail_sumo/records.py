@@ -108,6 +108,8 @@ class Trajectory:
     """(n_decisions,): what came of it; of a lane change that was refused or under way already, KEEP."""
     speed_mps: Floats
     """(n_steps + 1,): the host's speed at the start and after every SUMO step."""
+    distance_m: float
+    """How far the host has driven, by SUMO's odometer."""
     limit_mps: Floats
     """(n_steps,): the speed limit where the host was when that step was commanded."""
     lane_changing: NDArray[np.bool_]

@@ -31,6 +31,7 @@ def trajectory(speed_mps, **changes):
         actions=np.empty(0, dtype=np.int64),
         carried_out=np.empty(0, dtype=np.int64),
         speed_mps=speed_mps,
+        distance_m=float(speed_mps[1:].sum()) / 10,
         limit_mps=np.full(len(speed_mps) - 1, 80 / 3.6),
         lane_changing=np.zeros(len(speed_mps) - 1, dtype=np.bool_),
         min_ttc_s=math.inf,
@@ -56,10 +57,10 @@ def test_two_seconds_at_20_mps_are_40_metres():
     assert driven["hardest_braking_mps2"] == 0.0
 
 
-def test_speed_is_distance_over_duration_when_it_changes():
-    driven = row([10.0, 11.0, 13.0, 12.0])
-    assert driven["distance_m"] == pytest.approx(3.6)  # the start's 10 m/s moved nothing
-    assert driven["speed_kmh"] == pytest.approx(driven["distance_m"] / driven["duration_s"] * 3.6)
+def test_speed_is_the_odometers_distance_over_the_duration():
+    driven = row([10.0, 11.0, 13.0, 12.0], distance_m=3.5)  # the mean speeds of the three steps, for 0.1 s each
+    assert driven["distance_m"] == 3.5
+    assert driven["speed_kmh"] == pytest.approx(3.5 / 0.3 * 3.6)
 
 
 def test_below_40_kmh_a_step_earns_nothing():

@@ -37,6 +37,8 @@ def drive(task):
         actions=actions,
         carried_out=actions,
         speed_mps=np.full(201, 15.0 + (actions == 1).sum()),
+        distance_m=20.0 * (15.0 + (actions == 1).sum()),
+        limit_mps=np.full(200, 80.0 / 3.6),
         lane_changing=np.zeros(200, dtype=np.bool_),
         overtakes=int((actions == 1).sum()),
         overtaken=0,
@@ -45,6 +47,7 @@ def drive(task):
         refused_decisions=0,
         collisions=0,
         struck=0,
+        hard_brakings_behind=0,
         min_ttc_s=math.inf,
         end_reason="duration",
         seed=task.seed,
@@ -358,7 +361,9 @@ def test_floating_car_data_tell_of_the_very_drives_that_the_tables_tell_of(tmp_p
     for _, row in tables[0].iterrows():
         host = by_episode.get_group((row["policy"], row["episode"]))
         assert len(host) == 1 + 200  # at the start, and after every step
-        assert host["vehicle_speed"][1:].mean() * 3.6 == pytest.approx(row["speed_kmh"], abs=1e-3)
+        # Moved by the mean of the speeds before and after each step (ballistic).
+        speeds = host["vehicle_speed"].to_numpy(dtype=np.float64)
+        assert np.mean((speeds[1:] + speeds[:-1]) / 2) * 3.6 == pytest.approx(row["speed_kmh"], abs=1e-3)
         assert host["vehicle_odometer"].iloc[-1] == pytest.approx(row["distance_m"], abs=1e-2)
     now = ["policy", "episode", "timestep_time"]
     others = fcd.merge(fcd[fcd["vehicle_id"] == HOST], on=now, suffixes=("", "_host"))

@@ -278,6 +278,7 @@ class HighwayEnv(gymnasium.Env[Floats, np.int64]):
             actions=np.array(self._actions, dtype=np.int64),
             carried_out=np.array(self._carried_out, dtype=np.int64),
             speed_mps=np.array(self._simulation.host.speeds_mps),
+            distance_m=self._simulation.travelled_m(HOST),
             limit_mps=np.array(self._limits_mps),
             lane_changing=np.array(self._lane_changing, dtype=np.bool_),
             overtakes=self._overtakes,
