@@ -86,8 +86,7 @@ def test_the_expert_that_is_named_is_imitated_asked_and_compared_with(tmp_path, 
     """One with other senses than the shipped one's, who does nothing but accelerate."""
     blind = [(np.zeros((5, N_FEATURES // 2)), np.eye(5)[MetaAction.ACCELERATE])]
     monkeypatch.setattr(ppo, "train", lambda config, seed, traffic_seeds, observer: blind)
-    brief = ["lidar.n_rays=12", "episode.duration_s=20", "train.evaluation_episodes=2", "train.trajectories=3"]
-    brief += ["cloning.epochs=400"]  # 60 decisions are few
+    brief = ["lidar.n_rays=12", "episode.duration_s=20", "train.evaluation_episodes=2", "train.trajectories=10"]
     expert.train(config.load(None, brief), tmp_path / "mine", seed=5)
     asked = ["train.learner=dagger", "train.iterations=1", "train.horizon_s=10.0", "dagger.rollouts=1"]
     world = config.load(None, [*brief, *asked, f"train.expert={tmp_path / 'mine'}"])
