@@ -146,14 +146,16 @@ class Adas(_Section):
         return limit_mps if self.max_speed_kmh == "limit" else self.max_speed_kmh / KMH
 
     def lowest_mps(self, limit_mps: float) -> float:
-        """Return the lowest set speed where this is the limit; never above the highest."""
-        lowest = limit_mps / 2 if self.min_speed_kmh == "limit/2" else self.min_speed_kmh / KMH
-        return min(lowest, self.highest_mps(limit_mps))
+        """Return the lowest set speed where this is the limit; on a slow road it may lie above the highest."""
+        return limit_mps / 2 if self.min_speed_kmh == "limit/2" else self.min_speed_kmh / KMH
 
     def start_mps(self, limit_mps: float) -> float:
         """Return the first set speed where this is the limit."""
-        start = limit_mps * 3 / 4 if self.start_speed_kmh == "limit*3/4" else self.start_speed_kmh / KMH
-        return min(max(start, self.lowest_mps(limit_mps)), self.highest_mps(limit_mps))
+        return limit_mps * 3 / 4 if self.start_speed_kmh == "limit*3/4" else self.start_speed_kmh / KMH
+
+    def clipped_mps(self, speed_mps: float, limit_mps: float) -> float:
+        """Return a set speed, brought within its range where this is the limit; the highest counts more."""
+        return min(max(speed_mps, self.lowest_mps(limit_mps)), self.highest_mps(limit_mps))
 
     @model_validator(mode="after")
     def _ordered(self) -> "Adas":

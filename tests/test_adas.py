@@ -668,3 +668,18 @@ def test_hands_off_does_not_take_new_lane_numbers_beyond_a_junction_for_lane_cha
     for host in (at(lane=2, to_edge_end_m=1.0), junction, at(lane=1, to_edge_end_m=500.0), at(lane=1)):
         adas.command(host, free, steps=1)
     assert adas.lane_changes == 0
+
+
+# A lane that ends.
+
+
+def test_the_end_of_a_lane_is_braked_for_comfortably_to_a_stop_2_5_m_before_it(road):
+    road.gaps = closed
+    blocked = at(to_edge_end_m=150.0, leads_on_m=ENDING)
+    speed, ahead_m = 20.0, 150.0
+    while speed > 0.05 and ahead_m > 0.0:
+        command = road.adas.command(blocked._replace(speed_mps=speed, to_edge_end_m=ahead_m), road.gaps, steps=1)
+        assert command.speed_mps >= speed - 0.2 - 1e-9  # 2 m/s²
+        speed = command.speed_mps
+        ahead_m -= speed * 0.1
+    assert ahead_m == pytest.approx(2.5, abs=0.3)

@@ -9,7 +9,7 @@ import pytest
 from rail_sumo import config
 from rail_sumo.highway import road
 from rail_sumo.highway.simulation import HOST, Simulation
-from rail_sumo.highway.traffic import CLEAR_OF_HOST_M, START_GAP_M, MovingWindow
+from rail_sumo.highway.traffic import CLEAR_OF_ANOTHER_M, CLEAR_OF_HOST_M, START_GAP_M, MovingWindow
 from rail_sumo.records import KMH, Command
 
 START_M = 200.0
@@ -260,3 +260,52 @@ def test_those_far_behind_the_host_change_lanes_while_it_does(window, monkeypatc
     assert min(ordered) < -CLEAR_OF_HOST_M - 10.0
     assert max(ordered) > CLEAR_OF_HOST_M + 10.0
     assert np.abs(ordered).min() >= CLEAR_OF_HOST_M - 1.0
+
+
+def test_of_two_that_would_move_into_one_lane_side_by_side_one_is_told_to(window, monkeypatch):
+    begun = window(3, lane_change_every_s=2.0, vehicles=40)
+    lanes_ordered = []
+    order = begun.simulation.order_lane_change
+    monkeypatch.setattr(
+        begun.simulation,
+        "order_lane_change",
+        lambda name, lane: (lanes_ordered.append((lane, begun.ahead_m()[name])), order(name, lane)),
+    )
+    n_orders = 0
+    for _ in range(20):
+        lanes_ordered.clear()
+        begun.drive()
+        n_orders += len(lanes_ordered)
+        for lane in range(5):
+            places = sorted(ahead for other, ahead in lanes_ordered if other == lane)
+            assert np.diff(places).min(initial=math.inf) >= CLEAR_OF_ANOTHER_M
+    assert n_orders > 100
+
+
+def test_nobody_who_soon_leaves_its_edge_is_told_to_change_lanes():
+    # SUMO crashes over an order that still holds on the next edge.
+    with Simulation(road.load("ring5"), adas=ADAS, seed=1, context_m=120.0) as simulation:
+        edges = road.load("ring5").laps(0, 2000.0)
+        simulation.add_host(edges, lane=4, front_m=50.0, speed_mps=15.0)
+        length_m = road.load("ring5").edges[0].length_m
+        for name, front_m in (("near", length_m - 25.0), ("far", length_m - 100.0)):
+            simulation.add_vehicle(name, edges, lane=1, front_m=front_m, desired_speed_mps=10.0, car_following="Krauss")
+        simulation.wait_for_host()
+        assert simulation.lane_beside("near", 1) is None
+        assert simulation.lane_beside("far", 1) == 2
+
+
+@pytest.mark.parametrize("model", ["Krauss", "IDM", "EIDM", "W99"])
+def test_the_car_following_model_is_what_is_configured_and_decides_every_half_second(window, model):
+    begun = window(3, car_following=model)
+    assert {libsumo.vehicle.getTypeID(name).partition("@")[0] for name in begun.others()} == {
+        f"rail_sumo_traffic_{model}"
+    }
+    assert {libsumo.vehicle.getActionStepLength(name) for name in begun.others()} == {0.5}
+    # The acceleration is the same for the five steps between two decisions.
+    names, accelerations = begun.others(), []
+    for _ in range(50):
+        begun.drive(0.1)
+        accelerations.append([libsumo.vehicle.getAcceleration(name) for name in names])
+    n_different = [len(set(of_one)) for of_one in np.round(accelerations, 6).T.tolist()]
+    assert 2 < max(n_different) <= 11

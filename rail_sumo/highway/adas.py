@@ -107,16 +107,13 @@ class Adas:
 
     def command(self, host: HostState, gaps: Callable[[int], Gaps], *, steps: int) -> Command:
         """Return what to do next, for at most `steps` steps: as many as need no fresh look."""
-        set_speed = self._within_range(self._set_speed, host.limit_mps)
+        set_speed = self._config.clipped_mps(self._set_speed, host.limit_mps)
         speed = max(set_speed, host.speed_mps - self._config.comfort_braking_mps2 * SECONDS_PER_STEP)
         keeps_lane = self._side is None
         if keeps_lane and speed == set_speed == _within_limits(speed, host, self._config, steps=steps):
             return Command(speed, steps=steps)
         limited = _within_limits(speed, host, self._config, steps=1)
         return Command(limited) if self._side is None else self._sideways(self._side, limited, host, gaps)
-
-    def _within_range(self, speed_mps: float, limit_mps: float) -> float:
-        return min(max(speed_mps, self._config.lowest_mps(limit_mps)), self._config.highest_mps(limit_mps))
 
     def _steer(self, side: Side, host: HostState, gaps: Callable[[int], Gaps]) -> bool:
         """Begin a lane change or turn the one under way round, and return whether this was done."""

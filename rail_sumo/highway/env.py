@@ -115,7 +115,7 @@ class HighwayEnv(gymnasium.Env[Floats, np.int64]):
             outputs=self._outputs,
         )
         edge = self._road.edges[place[0]]
-        start_mps = adas.start_mps(edge.limit_mps)
+        start_mps = adas.clipped_mps(adas.start_mps(edge.limit_mps), edge.limit_mps)
         self._adas = HandsOff(adas) if self._hands_off else Adas(adas, start_mps=start_mps)
         lanes = lanes_leading_on(edge.ends_in_m(place[1]))
         lane = lanes[int(rng.integers(len(lanes)))]
@@ -319,11 +319,13 @@ def _fastest_mps(course: Road, adas: AdasConfig) -> float:
                 f"network '{course.name}': edge '{edge.id}' has a speed limit of {edge.limit_mps * KMH:.0f} km/h, "
                 f"which is none; name the host's highest set speed, for example by --set adas.max_speed_kmh=130"
             )
-    highest_mps = adas.highest_mps(course.highest_limit_mps)
-    if adas.lowest_mps(course.highest_limit_mps) >= highest_mps:
+    limit_mps = course.highest_limit_mps
+    lowest_mps, highest_mps = adas.lowest_mps(limit_mps), adas.highest_mps(limit_mps)
+    if lowest_mps >= highest_mps:
         raise InputError(
-            f"network '{course.name}': adas.min_speed_kmh {adas.min_speed_kmh} is not below the highest set speed on "
-            f"the course, {highest_mps * KMH:.0f} km/h; lower it, or leave it out for half the limit"
+            f"network '{course.name}': the lowest set speed, {lowest_mps * KMH:.0f} km/h (adas.min_speed_kmh = "
+            f"{adas.min_speed_kmh}), is not below the highest, {highest_mps * KMH:.0f} km/h (adas.max_speed_kmh = "
+            f"{adas.max_speed_kmh}), where the limit is {limit_mps * KMH:.0f} km/h; lower the one or raise the other"
         )
     return highest_mps
 
