@@ -126,7 +126,7 @@ class Adas(_Section):
     """The lowest set speed: half the limit, or a number. Traffic, limits and right of way may make the host slower."""
     start_speed_kmh: Positive | Literal["limit*3/4"] = "limit*3/4"
     """The speed at which the host enters, and its first set speed: three quarters of the limit, or a number. Into your
-    own demand it enters as fast as the traffic there drives, unless this is a number."""
+    own demand it enters as fast as the vehicles of its lane drive there, unless this is a number."""
     speed_step_kmh: Positive = 5.0
     """What accelerate and decelerate add to the present speed, or take from it, to get the set speed."""
     acceleration_mps2: Positive = 2.0
@@ -152,6 +152,11 @@ class Adas(_Section):
     def start_mps(self, limit_mps: float) -> float:
         """Return the first set speed where this is the limit."""
         return limit_mps * 3 / 4 if self.start_speed_kmh == "limit*3/4" else self.start_speed_kmh / KMH
+
+    @property
+    def starts_by_the_limit(self) -> bool:
+        """Whether no number is given for the start."""
+        return self.start_speed_kmh == "limit*3/4"
 
     def clipped_mps(self, speed_mps: float, limit_mps: float) -> float:
         """Return a set speed, brought within its range where this is the limit; the highest counts more."""

@@ -68,12 +68,29 @@ def test_it_never_brakes_harder_than_iso_15622_allows(speed_mps, hardest_mps2):
     assert (speed_mps - slower_mps) / STEP_S == pytest.approx(hardest_mps2)
 
 
-@given(st.floats(0.0, 40.0), st.floats(0.0, 40.0), st.floats(-5.0, 400.0), st.floats(-9.0, 3.0), st.floats(1.0, 5.0))
-def test_whatever_is_ahead_it_stays_within_its_limits(speed_mps, leader_mps, gap_m, acceleration, time_gap_s):
-    adas = Adas(time_gap_s=time_gap_s)
-    after = acc.following_mps(speed_mps, Leader(gap_m, leader_mps, acceleration), adas)
+speeds_mps = st.floats(0.0, 40.0)
+time_gaps_s = st.floats(1.0, 5.0)
+
+
+@given(speeds_mps, speeds_mps, st.floats(-5.0, 400.0), st.floats(-9.0, 3.0), time_gaps_s, st.floats(2.0, 9.0))
+def test_whatever_is_ahead_it_stays_within_its_limits(speed, leader, gap_m, acceleration, time_gap_s, emergency):
+    adas = Adas(time_gap_s=time_gap_s, emergency_braking_mps2=emergency)
+    after = acc.following_mps(speed, Leader(gap_m, leader, acceleration), adas)
     assert after >= 0.0
-    assert (speed_mps - after) / STEP_S <= acc.hardest_braking_mps2(speed_mps) + 1e-6
+    assert (speed - after) / STEP_S <= min(acc.hardest_braking_mps2(speed), emergency) + 1e-6
+
+
+@given(speeds_mps, st.floats(0.0, 390.0), st.floats(0.01, 5.0), time_gaps_s, st.floats(1.0, 5.0))
+def test_a_faster_leader_never_allows_less(leader, gap_m, faster, time_gap_s, braking):
+    adas = Adas(time_gap_s=time_gap_s, comfort_braking_mps2=braking)
+    behind_slow, behind_fast = (acc.allowed_mps(Leader(gap_m, mps), adas) for mps in (leader, leader + faster))
+    assert behind_slow <= behind_fast + 1e-9
+
+
+@given(speeds_mps, st.floats(-5.0, 400.0), speeds_mps, st.floats(0.0, 9.0), time_gaps_s, st.floats(1.0, 5.0))
+def test_compiled_it_is_the_python_function_to_the_bit(speed, room_m, leader, leader_braking, time_gap_s, comfort):
+    situation = (speed, room_m, leader, leader_braking, time_gap_s, comfort, 9.0)
+    assert acc._acceleration_mps2(*situation) == acc._acceleration_mps2.py_func(*situation)
 
 
 @given(st.floats(0.0, 40.0), st.floats(0.0, 40.0), st.floats(0.0, 390.0), st.floats(0.1, 10.0))
@@ -130,7 +147,7 @@ def test_behind_a_leader_that_brakes_it_brakes_hardly_harder(braking_mps2, harde
 
 
 def test_for_a_vehicle_that_cuts_in_without_danger_it_brakes_comfortably():
-    # 27 m ahead and 6 m/s slower: 2 m/s² take half a minute of nobody's time.
+    # 27 m ahead and 6 m/s slower: braking at 2 m/s² is enough.
     speeds, gaps = drive(lambda time_s: 16.0, gap_m=27.0, speed_mps=22.0)
     assert braking(speeds).max() <= 2.0 + 1e-9
     assert gaps.min() > 10.0

@@ -22,6 +22,7 @@ def speeds(*phases, start=30.0):
         ([(9.0, 0.2), (0.0, 5.0)], 1),  # 1.8 m/s are 3.6
         ([(5.0, 1.0), (0.0, 2.0), (5.0, 1.0)], 2),
         ([(5.0, 1.0), (1.0, 2.0), (5.0, 1.0)], 1),  # it eases, and is the same braking still
+        ([(5.0, 1.0), (0.01, 60.0), (5.0, 1.0)], 2),  # coasting is no braking
         ([(5.0, 0.4)], 0),  # shorter than what is averaged
         ([(0.0, 0.1)], 0),
     ],

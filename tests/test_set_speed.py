@@ -88,7 +88,7 @@ def test_on_sumo_the_host_starts_at_three_quarters_of_the_limit_and_speeds_up_to
     [
         (0, {}, "edge 'wide' has a speed limit of 0 km/h; correct the network"),
         (0, {"max_speed_kmh": 80.0}, "edge 'wide' has a speed limit of 0 km/h; correct the network"),
-        (999, {}, "edge 'wide' has a speed limit of 999 km/h, which is none; name the host's highest set speed"),
+        (999, {}, "edge 'wide' has a speed limit of 999 km/h, which is none; name the host's set speeds"),
         (
             80,
             {"min_speed_kmh": 80.0},
@@ -107,7 +107,8 @@ def test_a_limit_or_range_that_makes_no_sense_is_told_in_one_line(tmp_path, limi
 
 
 def test_a_road_without_a_limit_is_driven_when_the_highest_speed_is_named(tmp_path, make):
-    driven = drive(make(world(road_of(tmp_path, 999), max_speed_kmh=100.0, min_speed_kmh=50.0)), always(ACCELERATE))
+    named = {"max_speed_kmh": 100.0, "min_speed_kmh": 50.0, "start_speed_kmh": 75.0}
+    driven = drive(make(world(road_of(tmp_path, 999), **named)), always(ACCELERATE))
     assert driven.speed_mps.max() * KMH == pytest.approx(100.0, abs=0.01)
 
 
@@ -138,6 +139,26 @@ def test_into_a_demand_the_host_enters_as_fast_as_its_lane_drives_unless_a_numbe
     env = make(world({"file": "highway3"}, traffic=demand, start_speed_kmh=45.0))
     env.reset(seed=0)
     assert libsumo.vehicle.getSpeed(HOST) == pytest.approx(45.0 / KMH, abs=0.01)
+
+
+def test_into_fast_traffic_the_host_enters_no_faster_than_its_own_highest_speed(make, demand):
+    env = make(world({"file": "highway3"}, traffic=demand, max_speed_kmh=30.0, min_speed_kmh=20.0))
+    env.reset(seed=0)
+    assert libsumo.vehicle.getSpeed(HOST) <= 30.0 / KMH + 1e-3
+
+
+def test_after_an_episode_that_could_not_begin_another_one_can(make, tmp_path):
+    late = tmp_path / "late.rou.xml"
+    late.write_text('<routes><trip id="a" depart="5000" from="highway" to="highway"/></routes>')
+    with pytest.raises(InputError, match="no vehicle of the demand is on the road"):
+        HighwayEnv(world({"file": "highway3"}, traffic={"routes": [str(late)]})).reset(seed=0)
+    make(world({"file": "highway3"})).reset(seed=0)
+
+
+def test_a_number_above_the_limit_needs_no_closer_look_than_the_limit():
+    layer = Adas(config.Adas(max_speed_kmh=130.0), start_mps=100.0 / KMH)
+    command = layer.command(on_a_road(80, 80), lambda side: FREE, steps=10)
+    assert (command.speed_mps * KMH, command.steps) == (pytest.approx(80.0), 10)
 
 
 def test_a_demand_is_driven_as_sumo_drives_it_alone(make, demand, tmp_path):

@@ -11,7 +11,7 @@ import pytest
 from rail_sumo import config
 from rail_sumo.errors import InputError
 from rail_sumo.highway import road
-from rail_sumo.highway.adas import Adas
+from rail_sumo.highway.adas import SUMO_DECIDES, Adas
 from rail_sumo.highway.simulation import HOST, Simulation
 from rail_sumo.records import KMH, Command, MetaAction, Scene
 
@@ -445,24 +445,72 @@ def test_behind_a_leader_that_swings_by_10_kmh_the_host_swings_no_more(script, p
 
 
 def test_a_vehicle_that_the_host_moves_in_front_of_is_watched_for_hard_braking(script):
-    def brakes_behind(follower_brakes):
+    def brakes_behind(name, after_s=0.0):
         drive = script(speed_mps=20.0)
         drive.add("follower", lane=HOST_LANE + 1, ahead_m=-30.0, speed_mps=20.0)
-        drive.add("bystander", lane=HOST_LANE - 1, ahead_m=-30.0, speed_mps=20.0)
+        drive.add("bystander", lane=HOST_LANE, ahead_m=-60.0, speed_mps=20.0)
         drive.begin()
         drive.decide(MetaAction.LEFT)
-        drive.steps(2.5)
-        speed = 20.0
-        for name in ("follower",) if follower_brakes else ("bystander",):
-            for _ in range(10):
-                speed -= 4.0 * STEP_S
-                libsumo.vehicle.setSpeed(name, speed)
-                drive.step()
+        drive.steps(2.0 + after_s)
+        for step in range(1, 11):
+            libsumo.vehicle.setSpeed(name, 20.0 - 4.0 * STEP_S * step)
+            drive.step()
         drive.steps(5.0)
         return drive.simulation.host.hard_brakings_behind
 
-    assert brakes_behind(follower_brakes=True) == 1
-    assert brakes_behind(follower_brakes=False) == 0
+    assert brakes_behind("follower") == 1
+    assert brakes_behind("bystander") == 0  # it is behind in the lane that the host has left
+    assert brakes_behind("follower", after_s=5.0) == 0  # too late to be the host's doing
+
+
+def test_a_vehicle_that_the_host_moves_in_front_of_twice_is_watched_once(script):
+    drive = script(speed_mps=20.0)
+    drive.add("follower", lane=HOST_LANE + 1, ahead_m=-30.0, speed_mps=20.0)
+    drive.begin()
+    for action, seconds in ((MetaAction.LEFT, 1.0), (MetaAction.RIGHT, 1.2), (MetaAction.LEFT, 1.0)):
+        drive.decide(action)
+        drive.steps(seconds)
+    for step in range(1, 11):
+        libsumo.vehicle.setSpeed("follower", 20.0 - 4.0 * STEP_S * step)
+        drive.step()
+    drive.steps(3.0)
+    assert drive.simulation.host.hard_brakings_behind == 1
+
+
+def test_a_watched_vehicle_may_leave_the_road(script):
+    drive = script(speed_mps=20.0)
+    drive.add("follower", lane=HOST_LANE + 1, ahead_m=-30.0, speed_mps=20.0)
+    drive.begin()
+    drive.decide(MetaAction.LEFT)
+    drive.steps(2.0)
+    drive.simulation.remove_vehicle("follower")
+    drive.steps(2.0)
+    assert drive.simulation.host.hard_brakings_behind == 0
+
+
+@pytest.mark.parametrize("time_gap_s", [1.0, 2.0])
+def test_sumos_own_driver_keeps_the_time_gap_too(time_gap_s):
+    limits = config.Adas(max_speed_kmh=130.0, time_gap_s=time_gap_s)
+    with simulate(adas=limits) as simulation:
+        drive = Script(simulation, speed_mps=20.0, adas=limits)
+        drive.add("lead", lane=HOST_LANE, gap_m=60.0, speed_mps=18.0)
+        drive.begin()
+        simulation.host.hand_over()
+        libsumo.vehicle.setLaneChangeMode(HOST, 0)
+        simulation.run(Command(SUMO_DECIDES, steps=600))
+        assert gap_to(simulation.scene(), "lead") == pytest.approx(2.0 + time_gap_s * 18.0, abs=2.0)
+
+
+def test_with_weak_brakes_no_lane_change_leads_up_to_a_standing_car(touching):
+    weak = config.Adas(max_speed_kmh=130.0, emergency_braking_mps2=2.0)
+    with simulate(adas=weak) as simulation:
+        drive = Script(simulation, speed_mps=80 / KMH, adas=weak)
+        drive.add("standing", lane=HOST_LANE + 1, gap_m=95.0, speed_mps=0.0)
+        drive.begin()
+        drive.decide(MetaAction.LEFT)
+        scenes = drive.steps(8.0)
+        assert drive.adas.refused_decisions == 1
+        assert not any(touching(scene) for scene in scenes)
 
 
 # Lane changes.

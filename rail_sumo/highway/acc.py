@@ -29,7 +29,7 @@ class Leader(NamedTuple):
     """From bumper to bumper."""
     speed_mps: float
     acceleration_mps2: float = 0.0
-    """Averaged over the last half second."""
+    """Averaged over the last half second, or for as long as it has been the leader."""
 
 
 def sight_m(speed_mps: float, adas: Adas) -> float:
@@ -75,14 +75,12 @@ def hardest_braking_mps2(speed_mps: float) -> float:
 def _allowed_mps(room_m: float, leader_mps: float, braking_mps2: float, time_gap_s: float) -> float:
     """Return the speed from which even braking leads to the time gap behind a leader that brakes as hard.
 
-    v^2 = w^2 + 2 b (s - T w) with w the leader's speed. Below b T the time gap T = s / v alone is kept, or braking
-    would end in a jerk: there the two curves touch.
+    v^2 = u^2 + 2 b (s - T u) with u the leader's speed, at least b T. Nearer than T u to a slower leader the time gap
+    T = s / v alone is kept, or braking would end in a jerk: there the two curves touch.
     """
-    crawl_mps = braking_mps2 * time_gap_s
-    if leader_mps < crawl_mps and room_m < crawl_mps * time_gap_s:
-        return max(room_m, 0.0) / time_gap_s
-    steady = max(leader_mps, crawl_mps)
-    return math.sqrt(max(steady**2 + 2 * braking_mps2 * (room_m - time_gap_s * steady), 0.0))
+    steady = max(leader_mps, braking_mps2 * time_gap_s)
+    even = math.sqrt(max(steady**2 + 2 * braking_mps2 * (room_m - time_gap_s * steady), 0.0))
+    return even if room_m >= time_gap_s * steady else max(even, max(room_m, 0.0) / time_gap_s)
 
 
 @compiled("float64(float64, float64, float64, float64, float64)")

@@ -9,6 +9,7 @@ from collections.abc import Callable, Mapping
 from typing import Literal
 
 from rail_sumo import config
+from rail_sumo.highway.hard_braking import HARD_MPS2
 from rail_sumo.records import KMH, SECONDS_PER_STEP, Command, Gaps, HostState, MetaAction
 
 LATE_LATERAL_M = 0.25
@@ -16,7 +17,7 @@ LATE_LATERAL_M = 0.25
 sees the host only from then on, and with this margin two cars 1.8 m wide cannot have touched before."""
 FOLLOWER_TIME_GAP_S = 0.5
 """Time gap that the gate leaves to the vehicle behind."""
-GATE_BRAKING_MPS2 = 3.5
+GATE_BRAKING_MPS2 = HARD_MPS2
 """The hardest braking that a lane change may cost the host behind its new leader, or its new follower."""
 
 LEAVE_LANE_M = 300.0
@@ -24,7 +25,7 @@ LEAVE_LANE_M = 300.0
 LANE_END_SHORT_M = 2.5
 """How far before the end of such a lane the host stands. SUMO stands closer to it, and brakes for that harder."""
 TOUCH_M = 0.01
-"""Nearer than that is there."""
+"""A place nearer than this counts as reached."""
 SUMO_DECIDES = -1.0
 """As a commanded speed: SUMO's own driver picks it."""
 
@@ -107,7 +108,7 @@ class Adas:
 
     def command(self, host: HostState, gaps: Callable[[int], Gaps], *, steps: int) -> Command:
         """Return what to do next, for at most `steps` steps: as many as need no fresh look."""
-        set_speed = self._config.clipped_mps(self._set_speed, host.limit_mps)
+        set_speed = min(self._config.clipped_mps(self._set_speed, host.limit_mps), host.limit_mps)
         speed = max(set_speed, host.speed_mps - self._config.comfort_braking_mps2 * SECONDS_PER_STEP)
         keeps_lane = self._side is None
         if keeps_lane and speed == set_speed == _within_limits(speed, host, self._config, steps=steps):
@@ -166,8 +167,9 @@ class Adas:
 
     def _safe(self, speed_mps: float, gap: Gaps) -> bool:
         """The gate: neither the host behind its new leader nor the new follower needs to brake hard."""
-        ahead = _gap_needed(speed_mps, gap.ahead_speed_mps, self._config.time_gap_s)
-        behind = _gap_needed(gap.behind_speed_mps, speed_mps, FOLLOWER_TIME_GAP_S)
+        hosts_own = min(GATE_BRAKING_MPS2, self._config.emergency_braking_mps2)
+        ahead = _gap_needed(speed_mps, gap.ahead_speed_mps, self._config.time_gap_s, hosts_own)
+        behind = _gap_needed(gap.behind_speed_mps, speed_mps, FOLLOWER_TIME_GAP_S, GATE_BRAKING_MPS2)
         standstill = self._config.standstill_gap_m
         return gap.ahead_m >= standstill + ahead and gap.behind_m >= standstill + behind
 
@@ -253,13 +255,13 @@ def _way_on(host: HostState) -> Side | None:
     return LEFT if min(goals, key=lambda lane: abs(lane - host.lane)) > host.lane else RIGHT
 
 
-def _gap_needed(speed_mps: float, leader_mps: float, time_gap_s: float) -> float:
-    """Return the gap from which a vehicle comes to its time gap behind its leader by even braking of the gate's size.
+def _gap_needed(speed_mps: float, leader_mps: float, time_gap_s: float, braking_mps2: float) -> float:
+    """Return the gap that holds the time gap and the distance in which a vehicle brakes to its leader's speed.
 
-    T w + (v^2 - w^2) / (2 b) behind a leader of speed w; T v behind a faster one.
+    T w + (v^2 - w^2) / (2 b) behind a leader of speed w, as if it did not move on meanwhile; T v behind a faster one.
     """
     slower = min(speed_mps, leader_mps)
-    return time_gap_s * slower + (speed_mps**2 - slower**2) / (2 * GATE_BRAKING_MPS2)
+    return time_gap_s * slower + (speed_mps**2 - slower**2) / (2 * braking_mps2)
 
 
 class HandsOff:

@@ -96,7 +96,11 @@ class HighwayEnv(gymnasium.Env[Floats, np.int64]):
         self._lane_changing: list[bool] = []
         self._limits_mps: list[float] = []
         self._end = None
-        self._open(np.random.default_rng(self._seed))
+        try:
+            self._open(np.random.default_rng(self._seed))
+        except BaseException:
+            self.close()  # or no other environment could begin in this process
+            raise
         return self._look(0), {}
 
     def _open(self, rng: np.random.Generator) -> None:
@@ -116,7 +120,6 @@ class HighwayEnv(gymnasium.Env[Floats, np.int64]):
         )
         edge = self._road.edges[place[0]]
         start_mps = adas.clipped_mps(adas.start_mps(edge.limit_mps), edge.limit_mps)
-        self._adas = HandsOff(adas) if self._hands_off else Adas(adas, start_mps=start_mps)
         lanes = lanes_leading_on(edge.ends_in_m(place[1]))
         lane = lanes[int(rng.integers(len(lanes)))]
         episode = self.config.episode
@@ -129,7 +132,7 @@ class HighwayEnv(gymnasium.Env[Floats, np.int64]):
                     f"no vehicle of the demand is on the road at {traffic.begin_s + traffic.warm_up_s:.0f} s; set "
                     f"traffic.begin_s to a time with traffic, or lengthen traffic.warm_up_s"
                 )
-        as_traffic = bool(self._demand) and adas.start_speed_kmh == "limit*3/4"
+        as_traffic = bool(self._demand) and adas.starts_by_the_limit
         simulation.add_host(edges, lane=lane, front_m=place[1], speed_mps=start_mps, as_traffic=as_traffic)
         self._window: MovingWindow | None = None
         if not self._demand:
@@ -138,7 +141,11 @@ class HighwayEnv(gymnasium.Env[Floats, np.int64]):
             )
         simulation.wait_for_host()
         if self._hands_off:
+            self._adas: Adas | HandsOff = HandsOff(adas)
             simulation.host.hand_over()
+        else:
+            entered_mps = simulation.host.speeds_mps[0] if as_traffic else start_mps
+            self._adas = Adas(adas, start_mps=max(start_mps, entered_mps))
 
     def step(self, action: int | np.int64) -> tuple[Floats, float, bool, bool, dict[str, Any]]:
         """Take one decision and drive until the next falls due.
@@ -317,7 +324,8 @@ def _fastest_mps(course: Road, adas: AdasConfig) -> float:
         if adas.max_speed_kmh == "limit" and edge.limit_mps > HIGHEST_LIMIT_MPS:
             raise InputError(
                 f"network '{course.name}': edge '{edge.id}' has a speed limit of {edge.limit_mps * KMH:.0f} km/h, "
-                f"which is none; name the host's highest set speed, for example by --set adas.max_speed_kmh=130"
+                f"which is none; name the host's set speeds, for example by --set adas.max_speed_kmh=130 "
+                f"--set adas.min_speed_kmh=65 --set adas.start_speed_kmh=100"
             )
     limit_mps = course.highest_limit_mps
     lowest_mps, highest_mps = adas.lowest_mps(limit_mps), adas.highest_mps(limit_mps)

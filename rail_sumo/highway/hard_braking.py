@@ -9,13 +9,15 @@ HARD_MPS2 = 3.5
 """Braking harder than this is hard: ISO 15622 allows adaptive cruise control no more at 20 m/s and above."""
 AVERAGED_STEPS = 5
 """Deceleration is averaged over half a second: a single step's is the jerk of a car-following model, not a braking."""
+EASED_MPS2 = 0.5
+"""Below this a braking is over."""
 ROUNDING_MPS2 = 1e-6
 
 
 def hard_brakings(speed_mps: ArrayLike) -> int:
     """Return how often the deceleration, averaged over half a second, rises above `HARD_MPS2`.
 
-    A braking counts once, however often it eases before it ends: until the vehicle no longer slows down.
+    A braking counts once, however it varies until it is below `EASED_MPS2`.
 
     Args:
         speed_mps: a vehicle's speed, a step apart, shape (n_steps + 1,); shorter than half a second has none.
@@ -23,7 +25,9 @@ def hard_brakings(speed_mps: ArrayLike) -> int:
     speed = np.asarray(speed_mps, dtype=np.float64)
     braking = (speed[:-AVERAGED_STEPS] - speed[AVERAGED_STEPS:]) / (AVERAGED_STEPS * SECONDS_PER_STEP)
     count, is_counted = 0, False
-    for hard, eased in zip((braking > HARD_MPS2 + ROUNDING_MPS2).tolist(), (braking <= 0.0).tolist(), strict=True):
+    for hard, eased in zip(
+        (braking > HARD_MPS2 + ROUNDING_MPS2).tolist(), (braking < EASED_MPS2).tolist(), strict=True
+    ):
         count += hard and not is_counted
         is_counted = (is_counted or hard) and not eased
     return count

@@ -1,9 +1,9 @@
-"""The host on SUMO: what its sensors and its ADAS layer can know, how it obeys, and what becomes of it."""
+"""The host on SUMO: what its sensors and its ADAS layer can know, how it obeys, and what is recorded."""
 
 import math
 from collections import deque
 from collections.abc import Sequence
-from typing import NamedTuple
+from dataclasses import dataclass
 
 import libsumo
 
@@ -25,7 +25,7 @@ SUMO_CHANGES_LANES = 1621
 """SUMO's default lane-change mode."""
 
 UNLIMITED = 10.0
-"""Speed factor of whom SUMO does not hold to the road's speed limits."""
+"""Speed factor with which SUMO does not hold the host to the road's limits."""
 
 SUMO_SPEED_MODE = 31
 """SUMO's default speed mode."""
@@ -36,7 +36,7 @@ AEB_TIME_GAP_S = 0.5
 """What emergency braking keeps to the vehicle ahead: less than adaptive cruise control does, which it is not to
 disturb. SUMO keeps clear of contacts as long as this is no shorter than a step."""
 EXPECTED_BRAKING_MPS2 = 4.5
-"""The braking of the host that others reckon with."""
+"""The braking that other vehicles expect of the host."""
 BEHIND_LEFT, AHEAD_LEFT, BEHIND_RIGHT, AHEAD_RIGHT = 0, 2, 1, 3
 """SUMO's modes of `getNeighbors`."""
 WATCH_STEPS = 50
@@ -45,11 +45,14 @@ SLACK_M = 100.0
 """Junctions are heeded from this much farther away than the host needs to stop comfortably from its highest speed."""
 
 
-class _Watched(NamedTuple):
+@dataclass(slots=True)
+class _Watched:
     """A vehicle that the host has moved in front of."""
 
     name: str
     speeds_mps: list[float]
+    until: int
+    """How many speeds of its own the host will have noted when the watch ends."""
 
 
 class Host:
@@ -85,15 +88,16 @@ class Host:
         """Whether the host has struck or been struck."""
         self.min_ttc_s = math.inf
         self._behind: list[_Watched] = []
-        self._watched_until = 0  # this many speeds of its own
+        self._watched_until = 0  # as in `_Watched`, of the last of them
+        self._lane_id = ""  # that SUMO's own driver was on
         self._equip()
 
     def _equip(self) -> None:
         """Give it emergency braking: car-following that brakes safely and never harder than it may.
 
-        Krauss without imperfection, a deceleration as hard as emergency braking, and others told to expect a
-        comfortable one. SUMO never exceeds `decel` under setSpeed in the default speed mode, and this model needs no
-        more to stay clear of a leader that brakes as hard. Adaptive cruise control (`acc`) brakes long before it.
+        Krauss without imperfection, a deceleration as hard as emergency braking, and others told to expect
+        `EXPECTED_BRAKING_MPS2`. SUMO never exceeds `decel` under setSpeed in the default speed mode, and this model
+        needs no more to stay clear of a leader that brakes as hard. Adaptive cruise control (`acc`) brakes long before.
         """
         types, adas = libsumo.vehicletype, self._adas
         types.setAccel(HOST_TYPE, adas.acceleration_mps2)
@@ -129,6 +133,7 @@ class Host:
         Its speed is left to it by a command with a negative speed.
         """
         self._sumo_drives = True
+        libsumo.vehicle.setTau(HOST, self._adas.time_gap_s)  # as a vehicle of SUMO's, it has no other time gap
         libsumo.vehicle.setLaneChangeMode(HOST, SUMO_CHANGES_LANES)
 
     # What it can know.
@@ -235,7 +240,7 @@ class Host:
         standstill = libsumo.vehicle.getMinGap(name) if min_gap_m is None else min_gap_m
         return gap + standstill, libsumo.vehicle.getSpeed(name)
 
-    # What it does, and what becomes of it.
+    # What it does, and what is recorded.
 
     def obey(self, command: Command) -> None:
         """Let the next step, and those after it, carry a command out."""
@@ -245,7 +250,9 @@ class Host:
         self._set_mps = command.speed_mps
         if command.cross:
             vehicle.changeLane(HOST, vehicle.getLaneIndex(HOST) + command.cross, 0.0)
-            self._watch_behind(command.cross)
+            followers = vehicle.getNeighbors(HOST, BEHIND_LEFT if command.cross > 0 else BEHIND_RIGHT)
+            if followers:
+                self._watch(min(followers, key=lambda follower: follower[1])[0])
         if command.lateral_m != self._lateral_m:
             vehicle.setLateralLanePosition(HOST, command.lateral_m)
             self._lateral_m = command.lateral_m
@@ -297,6 +304,8 @@ class Host:
             self.contact = bool(self.collisions or self.struck)
         if len(self.speeds_mps) <= self._watched_until:
             self._note_behind()
+        if self._sumo_drives:
+            self._note_lane()
 
     def _look_ahead(self) -> None:
         """Note who is ahead, how fast, and how that vehicle has sped up or braked over the last half second."""
@@ -314,20 +323,30 @@ class Host:
         seconds = max(len(speeds_mps) - 1, 1) * SECONDS_PER_STEP
         self._leader = Leader(gap_m + self._adas.standstill_gap_m, speed_mps, (speed_mps - speeds_mps[0]) / seconds)
 
-    def _watch_behind(self, side: int) -> None:
-        """Watch the vehicle that is behind in the lane the host moves into now."""
-        followers = libsumo.vehicle.getNeighbors(HOST, BEHIND_LEFT if side > 0 else BEHIND_RIGHT)
-        if followers:
-            name, _ = min(followers, key=lambda follower: follower[1])
-            self._behind.append(_Watched(name, [libsumo.vehicle.getSpeed(name)]))
-            self._watched_until = len(self.speeds_mps) + WATCH_STEPS
+    def _watch(self, name: str) -> None:
+        """Watch the vehicle that the host moves in front of now; one that is watched already, for longer."""
+        self._watched_until = len(self.speeds_mps) + WATCH_STEPS
+        for watched in self._behind:
+            if watched.name == name and watched.until >= len(self.speeds_mps):
+                watched.until = self._watched_until
+                return
+        self._behind.append(_Watched(name, [libsumo.vehicle.getSpeed(name)], self._watched_until))
 
     def _note_behind(self) -> None:
         """Note the speeds of those watched, who may leave the road."""
         on_road = libsumo.vehicle.getIDList()
         for watched in self._behind:
-            if len(watched.speeds_mps) <= WATCH_STEPS and watched.name in on_road:
+            if watched.until >= len(self.speeds_mps) and watched.name in on_road:
                 watched.speeds_mps.append(libsumo.vehicle.getSpeed(watched.name))
+
+    def _note_lane(self) -> None:
+        """Notice when SUMO's own driver has changed lanes."""
+        lane_id = libsumo.vehicle.getLaneID(HOST)
+        follower = libsumo.vehicle.getFollower(HOST)
+        same_edge = lane_id.rpartition("_")[0] == self._lane_id.rpartition("_")[0]
+        if same_edge and lane_id != self._lane_id and follower and follower[0]:
+            self._watch(follower[0])
+        self._lane_id = lane_id
 
     @property
     def hard_brakings_behind(self) -> int:

@@ -162,15 +162,15 @@ class Simulation:
         Where it may not drive as fast as `speed_mps`, it enters as fast as it may. With `as_traffic` it enters as fast
         as the vehicles drive that are there, if there are any.
         """
-        limit_mps = libsumo.lane.getMaxSpeed(f"{edges[0]}_{lane}")
+        ceiling_mps = min(libsumo.lane.getMaxSpeed(f"{edges[0]}_{lane}"), self.host.fastest_mps)
         there_mps = self.traffic_mps(edges[0], lane, front_m) if as_traffic else None
-        self._start_mps = limit_mps if as_traffic else min(speed_mps, limit_mps)
+        self._ceiling_mps = ceiling_mps if as_traffic else min(speed_mps, ceiling_mps)
         self._start = (edges, lane, front_m)
-        self._enter(f"{min(speed_mps if there_mps is None else there_mps, limit_mps):.3f}")
+        self._enter(f"{min(speed_mps if there_mps is None else there_mps, ceiling_mps):.3f}")
 
     def _enter(self, speed: str) -> None:
         self._add(HOST, HOST_TYPE, *self._start, speed)
-        self.host.take_over(self._start_mps)
+        self.host.take_over(self._ceiling_mps)
 
     def _add(self, name: str, kind: str, edges: Sequence[str], lane: int, front_m: float, speed: str) -> None:
         route = tuple(edges)
@@ -249,7 +249,7 @@ class Simulation:
             if number and HOST not in libsumo.simulation.getPendingVehicles():
                 slower = True
                 self._enter("max")
-                self.host.hold_below(self._start_mps)
+                self.host.hold_below(self._ceiling_mps)
             libsumo.simulation.step()
             if HOST in libsumo.simulation.getDepartedIDList():
                 break
