@@ -1,9 +1,8 @@
 """SUMO's car-following models as made traffic, beside one another: python benchmarks/car_following.py [--episodes 20].
 
-For each model, while the host keeps its lane and its set speed, and while it decides at random: how often the other
-vehicles brake hard (`records`: above 3.5 m/s² for half a second), how many of them touch one another, and what a step
-costs SUMO. How drivers fare under another model without learning anew: rail-sumo eval rail expert rule --set
-traffic.car_following=IDM.
+For each model, under three drivers of the host: how often the other vehicles brake hard (above 3.5 m/s², averaged over
+half a second), how many contacts there are, and what a step costs SUMO. How policies fare under another model without
+learning anew: rail-sumo eval runs/first expert rule --set traffic.car_following=IDM.
 """
 
 import argparse

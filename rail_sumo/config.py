@@ -131,9 +131,10 @@ class Adas(_Section):
     """What accelerate and decelerate add to the present speed, or take from it, to get the set speed."""
     acceleration_mps2: Positive = 2.0
     comfort_braking_mps2: Positive = 2.0
-    """For everything that is in sight in time: traffic ahead, a lower set speed, limits, signals, right of way."""
+    """For everything that is in sight in time: traffic ahead, a lower set speed, limits, signals, right of way. Behind
+    traffic never more than ISO 15622 allows."""
     emergency_braking_mps2: Annotated[float, Field(gt=0.0, le=9.0)] = 9.0
-    """The hardest, when somebody cuts in or brakes hard."""
+    """The hardest, when somebody cuts in or brakes hard, or a light turns late."""
     time_gap_s: Annotated[float, Field(ge=1.0, le=5.0)] = 1.0
     """The time gap that the host keeps to the vehicle ahead."""
     standstill_gap_m: Annotated[float, Field(ge=1.0, le=10.0)] = 2.0

@@ -64,7 +64,8 @@ def total_reward(trajectory: Trajectory, adas: Adas) -> float:
 def longitudinal_reward(speed_mps: Floats, limit_mps: Floats, adas: Adas) -> float:
     """Sum (v - low) / (high - low) over the speeds after each step; low and high are the range of the set speed there.
 
-    0 at the lowest set speed or below, 1 at the highest; 0 where the range is empty.
+    0 at the lowest set speed or below, 1 at the highest, more while the host brakes down to a lower limit; 0 where the
+    range is empty.
     """
     per_limit = {limit: (adas.lowest_mps(limit), adas.highest_mps(limit)) for limit in np.unique(limit_mps).tolist()}
     total = 0.0

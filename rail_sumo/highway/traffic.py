@@ -11,9 +11,11 @@ from rail_sumo.records import KMH
 
 START_GAP_M = 30.0
 """Room around a vehicle in its lane when it appears."""
-CLEAR_OF_HOST_M, CLEAR_OF_ANOTHER_M = 40.0, 20.0
-"""Nobody this near the host begins a lane change while the host is changing lanes, and of two vehicles this near each
-other only one is told to move into a lane: drivers who move into it from either side do not see each other in time."""
+CLEAR_OF_HOST_M = 40.0
+"""While the host changes lanes, no vehicle this near it is told to."""
+CLEAR_OF_ANOTHER_M = 20.0
+"""Of two vehicles this near each other only one is told to move into a lane: drivers who move into it from either side
+do not see each other in time."""
 
 PERIOD_S = 2.0
 """How often the window looks for vehicles that have left it."""
