@@ -238,8 +238,8 @@ def decide(policy: Policy, lidar: Lidar, vehicles: dict[str, tuple[float, ...]])
         return 0
     x, y, heading, speed, length, width = np.array([host, *vehicles.values()]).T
     x, y = x - 0.5 * length * np.cos(heading), y - 0.5 * length * np.sin(heading)
-    scene = Scene(0.0, [HOST, *vehicles], x, y, heading, speed, length, width)
-    return policy(np.concatenate(lidar.scan(scene)))
+    scene = Scene(0.0, [HOST, *vehicles], np.array((x, y, heading, speed, length, width)))
+    return policy(lidar.scan(scene).ravel())
 
 
 def with_workers(pool: Workers, tasks: list[Task]) -> float:

@@ -76,7 +76,7 @@ class Policy:
         weights = matrices[0][:, :-1] / whitening.std
         self._first = weights
         self._first_bias = matrices[0][:, -1] - weights @ whitening.mean
-        self._second = matrices[1] if shape.hidden is not None else None
+        self._second = (matrices[1][:, :-1], matrices[1][:, -1]) if shape.hidden is not None else None
 
     def outputs(self, observation: Floats) -> Floats:
         """Return the five outputs, shape (5,)."""
@@ -84,7 +84,8 @@ class Policy:
         outputs += self._first_bias
         if self._second is None:
             return outputs
-        return self._second[:, :-1] @ np.tanh(outputs) + self._second[:, -1]
+        weights, bias = self._second
+        return weights @ np.tanh(outputs) + bias
 
     def __call__(self, observation: Floats) -> int:
         """Return the `MetaAction` for an observation of shape (n_features,)."""

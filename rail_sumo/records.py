@@ -27,22 +27,47 @@ class MetaAction(IntEnum):
     RIGHT = 4
 
 
-@dataclass(frozen=True, slots=True)
-class Scene:
+class Scene(NamedTuple):
     """All vehicles around the host now, the host first.
 
     SI units, road frame: x east, y north, headings in radians counter-clockwise from east, (x, y) the centre of
-    each vehicle's box. Arrays have shape (n_vehicles,); row 0 is the host.
+    each vehicle's box.
     """
 
     time_s: float
     ids: list[str]
-    x_m: Floats
-    y_m: Floats
-    heading_rad: Floats
-    speed_mps: Floats
-    length_m: Floats
-    width_m: Floats
+    boxes: Floats
+    """Shape (6, n_vehicles): x, y, heading, speed, length and width; column 0 is the host."""
+
+    @property
+    def x_m(self) -> Floats:
+        """Shape (n_vehicles,), as all that follow."""
+        return self.boxes[0]
+
+    @property
+    def y_m(self) -> Floats:
+        """Of the centres."""
+        return self.boxes[1]
+
+    @property
+    def heading_rad(self) -> Floats:
+        """Of the boxes."""
+        return self.boxes[2]
+
+    @property
+    def speed_mps(self) -> Floats:
+        """Along the heading."""
+        return self.boxes[3]
+
+    @property
+    def length_m(self) -> Floats:
+        """Along the heading."""
+        return self.boxes[4]
+
+    @property
+    def width_m(self) -> Floats:
+        """Across it."""
+        return self.boxes[5]
 
 
 class HostState(NamedTuple):

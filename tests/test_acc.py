@@ -87,10 +87,10 @@ def test_a_faster_leader_never_allows_less(leader, gap_m, faster, time_gap_s, br
     assert behind_slow <= behind_fast + 1e-9
 
 
-@given(speeds_mps, st.floats(-5.0, 400.0), speeds_mps, st.floats(0.0, 9.0), time_gaps_s, st.floats(1.0, 5.0))
-def test_compiled_it_is_the_python_function_to_the_bit(speed, room_m, leader, leader_braking, time_gap_s, comfort):
-    situation = (speed, room_m, leader, leader_braking, time_gap_s, comfort, 9.0)
-    assert acc._acceleration_mps2(*situation) == acc._acceleration_mps2.py_func(*situation)
+@given(speeds_mps, st.floats(-5.0, 400.0), speeds_mps, st.floats(-9.0, 3.0), time_gaps_s, st.floats(1.0, 5.0))
+def test_compiled_it_is_the_python_function_to_the_bit(speed, gap_m, leader, acceleration, time_gap_s, comfort):
+    situation = (speed, gap_m, leader, acceleration, 2.0, time_gap_s, comfort, 9.0, STEP_S)
+    assert acc._following_mps(*situation) == acc._following_mps.py_func(*situation)
 
 
 @given(st.floats(0.0, 40.0), st.floats(0.0, 40.0), st.floats(0.0, 390.0), st.floats(0.1, 10.0))

@@ -10,8 +10,7 @@ EVERYTHING = config.Observation(host_speed=True, lateral_state=True, frames=3)
 def observe(layout, number):
     """The scan, speed and offset of the look with this number: every value tells which it is."""
     return layout.observe(
-        number + np.array([0.1, 0.2, 0.3]),
-        -number - np.array([0.1, 0.2, 0.3]),
+        np.array((number + np.array([0.1, 0.2, 0.3]), -number - np.array([0.1, 0.2, 0.3]))),
         speed_mps=number + 0.5,
         lateral_m=number + 0.7,
     )
@@ -27,7 +26,7 @@ def test_the_default_is_24_distances_then_24_relative_speeds_each_by_its_ray():
     assert names[23:25] == ["distance_23_m", "relative_speed_0_mps"]
     assert names[-1] == "relative_speed_23_mps"
     values = Layout(config.Lidar(), config.Observation()).observe(
-        np.arange(24.0), -np.arange(24.0), speed_mps=99.0, lateral_m=99.0
+        np.array((np.arange(24.0), -np.arange(24.0))), speed_mps=99.0, lateral_m=99.0
     )
     assert values.tolist() == [*range(24), *(-ray for ray in range(24))]
 

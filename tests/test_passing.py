@@ -20,12 +20,16 @@ def scene(heading_rad=0.0, lengths=None, **along_m):
     return Scene(
         time_s=0.0,
         ids=ids,
-        x_m=700.0 + along * math.cos(heading_rad) - left * math.sin(heading_rad),
-        y_m=300.0 + along * math.sin(heading_rad) + left * math.cos(heading_rad),
-        heading_rad=np.full(len(ids), heading_rad),
-        speed_mps=np.full(len(ids), 20.0),
-        length_m=np.array([(lengths or {}).get(name, LENGTH_M) for name in ids]),
-        width_m=np.full(len(ids), 1.8),
+        boxes=np.array(
+            (
+                700.0 + along * math.cos(heading_rad) - left * math.sin(heading_rad),
+                300.0 + along * math.sin(heading_rad) + left * math.cos(heading_rad),
+                np.full(len(ids), heading_rad),
+                np.full(len(ids), 20.0),
+                np.array([(lengths or {}).get(name, LENGTH_M) for name in ids]),
+                np.full(len(ids), 1.8),
+            )
+        ),
     )
 
 
@@ -166,5 +170,7 @@ def test_on_any_scene_the_machine_code_its_source_and_a_slow_computation_agree(s
         rng.uniform(-10, 10) + rng.uniform(-2, 2, number),
         rng.uniform(0, 20, number),
     )
+    boxes = np.zeros((6, number))
+    boxes[[0, 1, 2, 4]] = columns
     slow = [AWAY, *(slow_side(*columns, row, 50.0) for row in range(1, number))]
-    assert sides_of(*columns, 50.0).tolist() == sides_of.py_func(*columns, 50.0).tolist() == slow
+    assert sides_of(boxes, 50.0).tolist() == sides_of.py_func(boxes, 50.0).tolist() == slow

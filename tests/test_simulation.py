@@ -591,12 +591,16 @@ def two_boxes(x_m, y_m, heading_rad):
     return Scene(
         time_s=0.0,
         ids=[HOST, "other"],
-        x_m=np.array([0.0, x_m]),
-        y_m=np.array([0.0, y_m]),
-        heading_rad=np.array([0.0, heading_rad]),
-        speed_mps=np.zeros(2),
-        length_m=np.full(2, CAR_M),
-        width_m=np.full(2, 1.8),
+        boxes=np.array(
+            (
+                np.array([0.0, x_m]),
+                np.array([0.0, y_m]),
+                np.array([0.0, heading_rad]),
+                np.zeros(2),
+                np.full(2, CAR_M),
+                np.full(2, 1.8),
+            )
+        ),
     )
 
 

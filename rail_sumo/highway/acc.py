@@ -55,13 +55,15 @@ def following_mps(speed_mps: float, leader: Leader, adas: Adas) -> float:
     The host brakes evenly towards its time gap: comfortably where it sees the leader in time, else as hard as it takes,
     up to `hardest_braking_mps2`.
     """
-    gap_m, leader_mps, leader_acceleration_mps2 = leader
-    room_m, leader_braking_mps2 = gap_m - adas.standstill_gap_m, max(-leader_acceleration_mps2, 0.0)
-    comfort, emergency = adas.comfort_braking_mps2, adas.emergency_braking_mps2
-    acceleration_mps2 = _acceleration_mps2(
-        speed_mps, room_m, leader_mps, leader_braking_mps2, adas.time_gap_s, comfort, emergency
+    return _following_mps(
+        speed_mps,
+        *leader,
+        adas.standstill_gap_m,
+        adas.time_gap_s,
+        adas.comfort_braking_mps2,
+        adas.emergency_braking_mps2,
+        SECONDS_PER_STEP,
     )
-    return max(0.0, speed_mps + acceleration_mps2 * SECONDS_PER_STEP)
 
 
 @compiled("float64(float64)")
@@ -102,19 +104,23 @@ def _needed_mps2(
     return leader_braking_mps2 + max(closing_mps, 0.0) ** 2 / (2 * to_time_gap_m)
 
 
-@compiled("float64(float64, float64, float64, float64, float64, float64, float64)")
-def _acceleration_mps2(
+@compiled("float64(float64, float64, float64, float64, float64, float64, float64, float64, float64)")
+def _following_mps(
     speed_mps: float,
-    room_m: float,
+    gap_m: float,
     leader_mps: float,
-    leader_braking_mps2: float,
+    leader_acceleration_mps2: float,
+    standstill_gap_m: float,
     time_gap_s: float,
     comfort_braking_mps2: float,
     emergency_braking_mps2: float,
+    step_s: float,
 ) -> float:
+    room_m = gap_m - standstill_gap_m
     hardest = min(hardest_braking_mps2(speed_mps), emergency_braking_mps2)
-    needed = _needed_mps2(speed_mps, room_m, leader_mps, leader_braking_mps2, time_gap_s)
+    needed = _needed_mps2(speed_mps, room_m, leader_mps, max(-leader_acceleration_mps2, 0.0), time_gap_s)
     braking = min(max(needed, comfort_braking_mps2), hardest)
     soon_m = room_m - (speed_mps - leader_mps) * RESPONSE_S
     aim_mps = _allowed_mps(soon_m, leader_mps, braking, time_gap_s)
-    return max((aim_mps - speed_mps) / RESPONSE_S, -braking)
+    acceleration_mps2 = max((aim_mps - speed_mps) / RESPONSE_S, -braking)
+    return max(0.0, speed_mps + acceleration_mps2 * step_s)

@@ -3,6 +3,7 @@
 import math
 import sys
 from collections.abc import Sequence
+from functools import lru_cache
 from pathlib import Path
 from typing import Any
 
@@ -12,6 +13,7 @@ from gymnasium import spaces
 
 from rail_sumo.config import Adas as AdasConfig
 from rail_sumo.config import Config
+from rail_sumo.config import Lidar as LidarConfig
 from rail_sumo.errors import InputError
 from rail_sumo.highway import demand, road, sumo_errors
 from rail_sumo.highway.adas import Adas, HandsOff, lanes_leading_on
@@ -60,7 +62,7 @@ class HighwayEnv(gymnasium.Env[Floats, np.int64]):
         traffic = self.config.traffic
         self._demand, self._additional = demand.check(traffic.routes, traffic.additional)
         lidar = self.config.lidar
-        self._lidar = Lidar(lidar.n_rays, lidar.max_range_m, self._road.boundaries if lidar.road_edges else None)
+        self._lidar = _lidar(lidar, self._road)
         self._layout = Layout(lidar, self.config.observation)
         self.observation_space = spaces.Box(*self._layout.bounds, dtype=np.float64)
         self.action_space = spaces.Discrete(len(MetaAction))
@@ -70,6 +72,9 @@ class HighwayEnv(gymnasium.Env[Floats, np.int64]):
         self._near_m = max(NEAR_M, closes_m + VEHICLE_M)
         self._start_m = DEMAND_START_M if self._demand else self.config.traffic.behind_m + MARGIN_M
         self._overrun_m = MARGIN_M + closes_m
+        end_m = math.inf if self._road.is_loop else self._road.length_m
+        self.drivable_m = end_m - self._start_m - self._overrun_m
+        """How far the host can drive before the road ends; inf on a loop."""
         if self.drivable_m <= 0.0:
             raise InputError(
                 f"network '{self._road.name}': the course is {self._road.length_m:.0f} m long, and the host needs "
@@ -216,7 +221,7 @@ class HighwayEnv(gymnasium.Env[Floats, np.int64]):
         if self._window is not None:
             self._window.update(elapsed_s=driven * SECONDS_PER_STEP, host_changing_lane=adas.changing_lane)
         self._observation = self._layout.observe(
-            *self._lidar.scan(scene), speed_mps=scene.speed_mps[0], lateral_m=adas.lateral_m
+            self._lidar.scan(scene), speed_mps=scene.speed_mps[0], lateral_m=adas.lateral_m
         )
         return self._observation
 
@@ -234,11 +239,6 @@ class HighwayEnv(gymnasium.Env[Floats, np.int64]):
         speeds = self._simulation.host.speeds_mps
         crawls = speeds[-1] < CRAWL_MPS and len(speeds) >= STANDSTILL_STEPS
         return "standstill" if crawls and max(speeds[-STANDSTILL_STEPS:]) < CRAWL_MPS else None
-
-    @property
-    def drivable_m(self) -> float:
-        """How far the host can drive before the road ends; inf on a loop."""
-        return math.inf if self._road.is_loop else self._road.length_m - self._start_m - self._overrun_m
 
     @property
     def scene(self) -> Scene:
@@ -307,6 +307,12 @@ class HighwayEnv(gymnasium.Env[Floats, np.int64]):
         if self._simulation is not None:
             self._simulation.close()
             self._simulation = None
+
+
+@lru_cache(maxsize=32)
+def _lidar(settings: LidarConfig, course: Road) -> Lidar:
+    """Return the LIDAR of a course: one for all episodes, since it remembers which road edges are near where."""
+    return Lidar(settings.n_rays, settings.max_range_m, course.boundaries if settings.road_edges else None)
 
 
 def _fastest_mps(course: Road, adas: AdasConfig) -> float:

@@ -70,6 +70,7 @@ class Host:
         self._has_signals = bool(libsumo.trafficlight.getIDList())
         self._meets_others = self._has_signals or road.gives_way
         self._junction_sight_m = road.sight_m
+        self._standstill_gap_m = adas.standstill_gap_m
         self._sight_m = acc.sight_m(self.fastest_mps, adas)
         self._heeds_m = acc.braking_distance_m(self.fastest_mps, adas.comfort_braking_mps2) + SLACK_M
         self._drives_on = False  # past the next signal, though it is not green
@@ -125,7 +126,7 @@ class Host:
     def begin(self) -> None:
         """Note the speed at which the host has entered, and who is ahead."""
         self.speeds_mps.append(libsumo.vehicle.getSpeed(HOST))
-        self._look_ahead()
+        self._leader = self._look_ahead()
 
     def hand_over(self) -> None:
         """Let SUMO's own driver drive: no adaptive cruise control, lane changes of its own accord.
@@ -281,9 +282,9 @@ class Host:
 
     def drive(self) -> None:
         """Tell SUMO the speed for the next step: the set speed, or what adaptive cruise control makes of it."""
-        speed_mps = self._set_mps
-        if self._leader is not None and not self._sumo_drives:
-            speed_mps = min(speed_mps, acc.following_mps(self.speeds_mps[-1], self._leader, self._adas))
+        speed_mps, leader = self._set_mps, self._leader
+        if leader is not None and not self._sumo_drives:
+            speed_mps = min(speed_mps, acc.following_mps(self.speeds_mps[-1], leader, self._adas))
         if speed_mps != self._told_mps:
             libsumo.vehicle.setSpeed(HOST, speed_mps)
             self._told_mps = speed_mps
@@ -292,36 +293,41 @@ class Host:
         """Note what the last step has come to."""
         speed_mps = libsumo.vehicle.getSpeed(HOST)
         self.speeds_mps.append(speed_mps)
-        self._look_ahead()
-        if self._leader is not None:
-            gap_m, leader_mps, _ = self._leader
-            if (speed_mps - leader_mps) * self.min_ttc_s > gap_m > 0.0:
-                self.min_ttc_s = gap_m / (speed_mps - leader_mps)
+        leader = self._leader = self._look_ahead()
+        if leader is not None:
+            closing_mps = speed_mps - leader[1]
+            if closing_mps * self.min_ttc_s > leader[0] > 0.0:
+                self.min_ttc_s = leader[0] / closing_mps
         if libsumo.simulation.getCollidingVehiclesNumber():
-            for collision in libsumo.simulation.getCollisions():  # those among the others are none of its business
-                self.collisions += collision.collider == HOST
-                self.struck += collision.victim == HOST
-            self.contact = bool(self.collisions or self.struck)
-        if len(self.speeds_mps) <= self._watched_until:
-            self._note_behind()
+            self._note_contacts()
         if self._sumo_drives:
             self._note_lane()
+        if len(self.speeds_mps) <= self._watched_until:
+            self._note_behind()
 
-    def _look_ahead(self) -> None:
-        """Note who is ahead, how fast, and how that vehicle has sped up or braked over the last half second."""
-        ahead = libsumo.vehicle.getLeader(HOST, self._sight_m)
+    def _look_ahead(self) -> Leader | None:
+        """Return who is ahead, with how that vehicle has sped up or braked over the last half second."""
+        vehicle = libsumo.vehicle
+        ahead = vehicle.getLeader(HOST, self._sight_m)
         if not ahead or not ahead[0]:
-            self._leader, self._leader_name = None, ""
-            return
+            self._leader_name = ""
+            return None
         name, gap_m = ahead
-        speeds_mps = self._leader_speeds_mps
+        speed_mps, speeds_mps = vehicle.getSpeed(name), self._leader_speeds_mps
         if name != self._leader_name:
             self._leader_name = name
             speeds_mps.clear()
-        speed_mps = libsumo.vehicle.getSpeed(name)
+            speeds_mps.append(speed_mps)
+            return Leader(gap_m + self._standstill_gap_m, speed_mps)
         speeds_mps.append(speed_mps)
-        seconds = max(len(speeds_mps) - 1, 1) * SECONDS_PER_STEP
-        self._leader = Leader(gap_m + self._adas.standstill_gap_m, speed_mps, (speed_mps - speeds_mps[0]) / seconds)
+        seconds = (len(speeds_mps) - 1) * SECONDS_PER_STEP
+        return Leader(gap_m + self._standstill_gap_m, speed_mps, (speed_mps - speeds_mps[0]) / seconds)
+
+    def _note_contacts(self) -> None:
+        for collision in libsumo.simulation.getCollisions():  # those among the others are none of its business
+            self.collisions += collision.collider == HOST
+            self.struck += collision.victim == HOST
+        self.contact = bool(self.collisions or self.struck)
 
     def _watch(self, name: str) -> None:
         """Watch the vehicle that the host moves in front of now; one that is watched already, for longer."""

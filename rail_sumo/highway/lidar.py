@@ -43,27 +43,18 @@ class Lidar:
         self._edges = _posed(np.empty((0, 4)) if road_edges is None else road_edges)
         self._cells: dict[tuple[float, float], Floats] = {}
 
-    def scan(self, scene: Scene) -> tuple[Floats, Floats]:
-        """Return what each ray from the host's centre hits first.
+    def scan(self, scene: Scene) -> Floats:
+        """Return what each ray from the host's centre hits first, shape (2, n_rays).
 
         Args:
             scene: the host and the other vehicles. One that covers the host's centre reads 0 m.
 
         Returns:
-            distance_m, shape (n_rays,): `max_range_m` where nothing is hit.
-            relative_speed_mps, shape (n_rays,): obstacle minus host along the host's heading; 0.0 where nothing is hit.
+            Row 0 holds distances in m: `max_range_m` where nothing is hit. Row 1 holds relative speeds in m/s: obstacle
+            minus host along the host's heading; 0.0 where nothing is hit.
         """
-        return first_hits(
-            scene.x_m,
-            scene.y_m,
-            scene.heading_rad,
-            scene.speed_mps,
-            scene.length_m,
-            scene.width_m,
-            self._edges_near(scene.x_m[0], scene.y_m[0]),
-            self._rays,
-            self.max_range_m,
-        )
+        boxes = scene.boxes
+        return first_hits(boxes, self._edges_near(boxes[0, 0], boxes[1, 0]), self._rays, self.max_range_m)
 
     def _edges_near(self, x_m: float, y_m: float) -> Floats:
         """Return the road edges that a ray from anywhere in the host's square can reach."""
@@ -85,35 +76,23 @@ def _posed(segments: Floats) -> Floats:
     return np.column_stack(((x1 + x2) / 2, (y1 + y2) / 2, np.arctan2(y2 - y1, x2 - x1), np.hypot(x2 - x1, y2 - y1)))
 
 
-@compiled(
-    "Tuple((float64[::1], float64[::1]))"
-    "(float64[:], float64[:], float64[:], float64[:], float64[:], float64[:],"
-    " float64[:, ::1], float64[:, ::1], float64)"
-)
-def first_hits(
-    x_m: Floats,
-    y_m: Floats,
-    heading_rad: Floats,
-    speed_mps: Floats,
-    length_m: Floats,
-    width_m: Floats,
-    edges: Floats,
-    rays: Floats,
-    max_range_m: float,
-) -> tuple[Floats, Floats]:
+@compiled("float64[:, ::1](float64[:, ::1], float64[:, ::1], float64[:, ::1], float64)")
+def first_hits(boxes: Floats, edges: Floats, rays: Floats, max_range_m: float) -> Floats:
     """Return each ray's distance and relative speed, as `Lidar.scan` does.
 
     Args:
-        x_m, y_m, heading_rad, speed_mps, length_m, width_m: the vehicles, shape (n_vehicles,), the host first.
+        boxes: those of a `Scene`, shape (6, n_vehicles).
         edges: x, y, heading and length of the road edges, shape (n_edges, 4).
         rays: cosine and sine of each ray's angle to the host's heading, shape (2, n_rays).
         max_range_m: how far they reach.
 
     Source: ray/slab intersection (Kay & Kajiya 1986), in each box's own frame.
     """
+    x_m, y_m, heading_rad, speed_mps, length_m, width_m = boxes[0], boxes[1], boxes[2], boxes[3], boxes[4], boxes[5]
     n_vehicles, n_rays = len(x_m), rays.shape[1]
-    distance_m = np.full(n_rays, max_range_m)
-    relative_mps = np.zeros(n_rays)
+    scan = np.zeros((2, n_rays))
+    distance_m, relative_mps = scan[0], scan[1]
+    distance_m[:] = max_range_m
     host_cos, host_sin = math.cos(heading_rad[0]), math.sin(heading_rad[0])
     for box in range(1, n_vehicles + len(edges)):
         if box < n_vehicles:
@@ -140,4 +119,6 @@ def first_hits(
             hits = (enter <= leave) & (leave >= 0.0) & (enter < distance_m[ray])
             distance_m[ray] = enter if hits else distance_m[ray]
             relative_mps[ray] = relative if hits else relative_mps[ray]
-    return np.maximum(distance_m, 0.0), relative_mps
+    for ray in range(n_rays):
+        distance_m[ray] = max(distance_m[ray], 0.0)
+    return scan

@@ -43,20 +43,20 @@ class Layout:
         """Forget the frames of the last episode."""
         self._frames.clear()
 
-    def observe(self, distance_m: Floats, relative_speed_mps: Floats, *, speed_mps: float, lateral_m: float) -> Floats:
+    def observe(self, scan: Floats, *, speed_mps: float, lateral_m: float) -> Floats:
         """Return the observation after one more scan.
 
         Args:
-            distance_m, relative_speed_mps: the scan, each of shape (n_rays,).
+            scan: distances and relative speeds, shape (2, n_rays), as `Lidar.scan` returns it.
             speed_mps: the host's speed.
             lateral_m: its offset from the centre of the lane it started its lane change on, leftwards positive.
         """
-        parts = [distance_m, relative_speed_mps]
+        extras = []
         if self._observation.host_speed:
-            parts.append(np.array([speed_mps]))
+            extras.append(speed_mps)
         if self._observation.lateral_state:
-            parts.append(np.array([lateral_m]))
-        frame = np.concatenate(parts)
+            extras.append(lateral_m)
+        frame = np.append(scan, extras) if extras else scan.ravel()
         if self._observation.frames == 1:
             return frame
         self._frames.appendleft(frame)

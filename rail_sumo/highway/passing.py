@@ -40,7 +40,7 @@ class PassCounter:
             scene: what is around the host now.
             counts: whether a vehicle counts; one on a parallel road does not.
         """
-        sides = sides_of(scene.x_m, scene.y_m, scene.heading_rad, scene.length_m, self._near_m)
+        sides = sides_of(scene.boxes, self._near_m)
         overtakes = overtaken = 0
         last: dict[str, int] = {}
         for name, side in zip(scene.ids, sides.tolist(), strict=True):
@@ -55,12 +55,13 @@ class PassCounter:
         return overtakes, overtaken
 
 
-@compiled("int8[::1](float64[:], float64[:], float64[:], float64[:], float64)")
-def sides_of(x_m: Floats, y_m: Floats, heading_rad: Floats, length_m: Floats, near_m: float) -> NDArray[np.int8]:
-    """Return on which side of the host each vehicle is, shape (n_vehicles,); the host, in row 0, is away.
+@compiled("int8[::1](float64[:, ::1], float64)")
+def sides_of(boxes: Floats, near_m: float) -> NDArray[np.int8]:
+    """Return on which side of the host each of a `Scene`'s vehicles is, shape (n_vehicles,); the host itself is away.
 
     Alongside begins and ends where the bumpers part: half of both lengths.
     """
+    x_m, y_m, heading_rad, length_m = boxes[0], boxes[1], boxes[2], boxes[4]
     sides = np.full(len(x_m), AWAY, dtype=np.int8)
     host_cos, host_sin = math.cos(heading_rad[0]), math.sin(heading_rad[0])
     for row in range(1, len(x_m)):

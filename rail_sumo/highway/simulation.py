@@ -284,7 +284,7 @@ class Simulation:
                 names.append(name)
                 rows += (x, y, angle(name), speed(name), *(sizes.get(name) or self._size(name)))
         vehicles = np.fromiter(rows, np.float64).reshape(len(names), -1)
-        return Scene(libsumo.simulation.getTime(), names, *placing.boxes(vehicles))
+        return Scene(libsumo.simulation.getTime(), names, placing.boxes(vehicles))
 
     def _size(self, name: str) -> tuple[float, float]:
         self._sizes[name] = (libsumo.vehicle.getLength(name), libsumo.vehicle.getWidth(name))
