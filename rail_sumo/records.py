@@ -130,7 +130,7 @@ class Trajectory:
     actions: NDArray[np.int64]
     """(n_decisions,): the `MetaAction` it decided."""
     carried_out: NDArray[np.int64]
-    """(n_decisions,): what came of it; of a lane change that was refused or under way already, KEEP."""
+    """(n_decisions,): the `MetaAction` carried out; KEEP for a lane change refused or under way already."""
     speed_mps: Floats
     """(n_steps + 1,): the host's speed at the start and after every SUMO step."""
     distance_m: float

@@ -85,10 +85,10 @@ class Adas:
         return [True, False, False, back and self._side == RIGHT, back and self._side == LEFT]
 
     def decide(self, action: MetaAction, host: HostState, gaps: Callable[[int], Gaps]) -> MetaAction:
-        """Take one decision of the supervisor and return what came of it.
+        """Take one decision of the supervisor and return the meta-action that is carried out.
 
-        A lane change that cannot be carried out safely is refused and counted, and KEEP comes of it; so it does of one
-        that is under way already. Near the end of a lane that does not lead on, the layer leaves it of its own accord
+        A lane change that cannot be carried out safely is refused and counted, and KEEP is returned, as it is when that
+        change is under way already. Near the end of a lane that does not lead on, the layer leaves it of its own accord
         as soon as it can.
         """
         carried_out = action
@@ -137,7 +137,7 @@ class Adas:
     def _open(self, side: Side, host: HostState, gaps: Callable[[int], Gaps]) -> bool:
         """Whether a change to this side may begin: there is a lane, no line forbids it, road enough, and a gap.
 
-        There is none into a lane that soon leads off the course, or farther away from it.
+        A lane that soon leads off the course is not open, nor one farther away from it.
         """
         if not _across(host, side):
             return False
@@ -285,7 +285,7 @@ class HandsOff:
         return [True, False, False, False, False]
 
     def decide(self, action: MetaAction, host: HostState, gaps: Callable[[int], Gaps]) -> MetaAction:
-        """Ignore the decision: KEEP comes of it."""
+        """Ignore the decision and return KEEP."""
         return MetaAction.KEEP
 
     def command(self, host: HostState, gaps: Callable[[int], Gaps], *, steps: int) -> Command:

@@ -1,4 +1,4 @@
-"""The Gymnasium environment that closes the circle: how an episode begins, goes on and ends."""
+"""The Gymnasium environment: how an episode begins, goes on and ends."""
 
 import math
 import sys
@@ -209,7 +209,7 @@ class HighwayEnv(gymnasium.Env[Floats, np.int64]):
         return self._simulation
 
     def _look(self, driven: int) -> Floats:
-        """Sense, let the traffic come and go, and see whether the episode is over."""
+        """Sense, replace vehicles that left the window, and check whether the episode is over."""
         simulation, adas = self._simulation, self._adas
         assert simulation is not None
         scene = simulation.scene()

@@ -140,9 +140,9 @@ class Host:
     # What it can know.
 
     def state(self) -> HostState:
-        """Return where it stands on its edge; off the course's lanes, as on a junction, none is beside it.
+        """Return the host's place on its edge. On a junction, or off the course's lanes, no lane is beside it.
 
-        The limit is that of the lane it is on, as it is now; those ahead are the network's, and what right of way asks.
+        `limit_mps` is the present limit of the host's lane; `limits_ahead` come from the network and right of way.
         """
         vehicle = libsumo.vehicle
         edge = self._edges.get(vehicle.getRoadID(HOST))
@@ -244,7 +244,7 @@ class Host:
     # What it does, and what is recorded.
 
     def obey(self, command: Command) -> None:
-        """Let the next step, and those after it, carry a command out."""
+        """Carry a command out in the next step and those after it."""
         vehicle = libsumo.vehicle
         if self._meets_others:
             self._heed_signals()
@@ -270,9 +270,10 @@ class Host:
 
     @property
     def must_look(self) -> bool:
-        """Whether a junction ahead wants a fresh look, before the command is carried out to its end.
+        """Whether the host must look at a junction ahead again before the present command ends.
 
-        So it does while a signal is yellow or passed though it is not green, and when what is ahead has changed.
+        True while a signal is yellow, while the host passes one that is not green, and when a signal or right of way
+        has changed.
         """
         return self._meets_others and (self._is_unsure or self._shows(self._signals()) != self._shown)
 
@@ -290,7 +291,7 @@ class Host:
             self._told_mps = speed_mps
 
     def note(self) -> None:
-        """Note what the last step has come to."""
+        """Record the host's speed, its leader and its contacts after a step."""
         speed_mps = libsumo.vehicle.getSpeed(HOST)
         self.speeds_mps.append(speed_mps)
         leader = self._leader = self._look_ahead()
@@ -324,7 +325,7 @@ class Host:
         return Leader(gap_m + self._standstill_gap_m, speed_mps, (speed_mps - speeds_mps[0]) / seconds)
 
     def _note_contacts(self) -> None:
-        for collision in libsumo.simulation.getCollisions():  # those among the others are none of its business
+        for collision in libsumo.simulation.getCollisions():  # contacts among the others are not counted
             self.collisions += collision.collider == HOST
             self.struck += collision.victim == HOST
         self.contact = bool(self.collisions or self.struck)
@@ -339,7 +340,7 @@ class Host:
         self._behind.append(_Watched(name, [libsumo.vehicle.getSpeed(name)], self._watched_until))
 
     def _note_behind(self) -> None:
-        """Note the speeds of those watched, who may leave the road."""
+        """Record the speeds of the watched vehicles that are still on the road."""
         on_road = libsumo.vehicle.getIDList()
         for watched in self._behind:
             if watched.until >= len(self.speeds_mps) and watched.name in on_road:
@@ -356,7 +357,7 @@ class Host:
 
     @property
     def hard_brakings_behind(self) -> int:
-        """How often those it moved in front of have braked hard within `WATCH_STEPS`."""
+        """How often vehicles braked hard within `WATCH_STEPS` of the host's moving in front of them."""
         return sum(hard_brakings(one.speeds_mps) for one in self._behind)
 
 

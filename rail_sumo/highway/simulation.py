@@ -54,8 +54,8 @@ class Simulation:
     Args:
         road: the network and the host's course on it.
         routes: the user's demand files.
-        additional: the user's additional files: stops, signal programs and the like. What detectors among them report
-            is taken away at the end.
+        additional: the user's additional files: stops, signal programs and the like. Reports of
+            detectors in them are deleted at the end.
         begin_s: when to begin in the demand's time, in seconds.
         adas: limits of the host's own car-following (ACC and AEB).
         seed: SUMO's seed.
@@ -90,7 +90,7 @@ class Simulation:
         self._sizes: dict[str, tuple[float, float]] = {}
         self._routes: dict[tuple[str, ...], str] = {}
         self._edges = road.edge_of
-        self._held: dict[str, int] = {}  # who may not change lanes now, with the lane-change mode to give back
+        self._held: dict[str, int] = {}  # vehicles kept from changing lanes, and their own lane-change modes
         self._prefix = f"{OURS}{os.getpid()}_"
         self._written = folders_written(additional)
         self._outputs = outputs
@@ -106,7 +106,7 @@ class Simulation:
                 # A vehicle of the window enters at once or not at all.
                 *(() if routes else ("--max-depart-delay", "0")),
                 *("--no-step-log", "true", "--no-warnings", "true", "--xml-validation", "never"),
-                # What the user's detectors report is nobody's, and must not replace what they reported before.
+                # Reports of the user's detectors are not kept, and must not overwrite earlier ones of the user's.
                 *(("--output-prefix", self._prefix) if additional else ()),
                 *outputs,
             ]
@@ -268,7 +268,7 @@ class Simulation:
     def scene(self) -> Scene:
         """Return the host and every vehicle within the context's reach, east or west, north or south.
 
-        Who drives a storey above or below is not around it.
+        Vehicles on a bridge above or below are left out.
         """
         # Getters, not a context subscription: a standing one costs half a step more on every step, and one made for a
         # single look costs more than all the getters together.
@@ -307,7 +307,7 @@ class Simulation:
         return command.steps
 
     def _step(self) -> None:
-        """Let SUMO go one step on, and note what became of the host."""
+        """Let SUMO drive one step, and note the host's speed, leader and contacts."""
         self.host.drive()
         libsumo.simulation.step()
         self.host.note()
