@@ -144,18 +144,22 @@ class Host:
 
         `limit_mps` is the present limit of the host's lane; `limits_ahead` come from the network and right of way.
         """
-        vehicle = libsumo.vehicle
-        edge = self._edges.get(vehicle.getRoadID(HOST))
-        speed, lane = self.speeds_mps[-1], vehicle.getLaneIndex(HOST)
-        careful, stops = self._places(speed)
-        limit = libsumo.lane.getMaxSpeed(vehicle.getLaneID(HOST))
+        vehicle, speed_mps = libsumo.vehicle, self.speeds_mps[-1]
+        lane_id = vehicle.getLaneID(HOST)
+        edge_id, _, index = lane_id.rpartition("_")
+        edge, lane, limit_mps = self._edges.get(edge_id), int(index), libsumo.lane.getMaxSpeed(lane_id)
+        careful, stops = self._places(speed_mps)
         if edge is None or lane not in (lanes := edge.lanes):  # on a junction, or strayed
             ahead = (*self._limits_beyond_this_lane(), *careful)
-            return HostState(speed, lane, lane, lane, 0.0, 0.0, 0.0, 0.0, (math.inf,), limit, ahead, tuple(stops))
-        here = lane - edge.first_lane
-        to_edge_end_m = edge.length_m - vehicle.getLanePosition(HOST)
+            return HostState(
+                speed_mps, lane, lane, lane, 0.0, 0.0, 0.0, 0.0, (math.inf,), limit_mps, ahead, tuple(stops)
+            )
+        here, to_edge_end_m = lane - lanes[0], edge.length_m - vehicle.getLanePosition(HOST)
+        limits_ahead = edge.limits_ahead
+        if careful:
+            limits_ahead += tuple((metres - to_edge_end_m, slow) for metres, slow in careful)
         return HostState(
-            speed_mps=speed,
+            speed_mps=speed_mps,
             lane=lane,
             rightmost_lane=lanes[0],
             leftmost_lane=lanes[-1],
@@ -164,8 +168,8 @@ class Host:
             to_left_m=edge.to_left_m[here],
             to_right_m=edge.to_right_m[here],
             leads_on_m=edge.leads_on_m,
-            limit_mps=limit,
-            limits_ahead=(*edge.limits_ahead, *((metres - to_edge_end_m, slow) for metres, slow in careful)),
+            limit_mps=limit_mps,
+            limits_ahead=limits_ahead,
             stops_ahead=tuple(stops),
         )
 
