@@ -88,7 +88,6 @@ class Simulation:
             )
         self._context_m = context_m
         self._sizes: dict[str, tuple[float, float]] = {}
-        self._latest: Scene | None = None
         self._routes: dict[tuple[str, ...], str] = {}
         self._edges = road.edge_of
         self._held: dict[str, int] = {}  # vehicles kept from changing lanes, and their own lane-change modes
@@ -285,8 +284,7 @@ class Simulation:
                 names.append(name)
                 rows += (x, y, angle(name), speed(name), *(sizes.get(name) or self._size(name)))
         vehicles = np.fromiter(rows, np.float64).reshape(len(names), -1)
-        self._latest = Scene(libsumo.simulation.getTime(), names, placing.boxes(vehicles))
-        return self._latest
+        return Scene(libsumo.simulation.getTime(), names, placing.boxes(vehicles))
 
     def _size(self, name: str) -> tuple[float, float]:
         self._sizes[name] = (libsumo.vehicle.getLength(name), libsumo.vehicle.getWidth(name))
@@ -320,10 +318,7 @@ class Simulation:
         SUMO knows the host in one lane only. Its own drivers would move in beside the part of it that still stands in
         the lane it has crossed out of.
         """
-        scene = self._latest  # of the look at which the lane change was decided
-        if scene is None or scene.time_s != libsumo.simulation.getTime():
-            scene = self.scene()
-        for name in scene.ids[1:]:
+        for name in self.scene().ids[1:]:
             self._held[name] = libsumo.vehicle.getLaneChangeMode(name)
             libsumo.vehicle.setLaneChangeMode(name, RESPECT_OTHERS_GAPS)
 
