@@ -23,7 +23,7 @@ import variants
 from scipy import stats
 
 from rail_sumo import config, rollout, run, training
-from rail_sumo.imitation import discriminator, rail
+from rail_sumo.imitation import rail
 from rail_sumo.imitation.random_search import RandomSearch
 from rail_sumo.run_directory import RunDirectory
 
@@ -52,7 +52,7 @@ CLIP_UP = Choice("step", "by the gradient", "ClipUp")
 SHRINKING = Choice("its length", "as it comes", "1 % less each time")
 TRAFFICS = Choice("traffic of + and -", "the same", "one each")
 MEMORY = Choice("the judge learns from", "the newest iteration", "the last three")
-PENALTY = Choice("gradient penalty", "none", "0.2")
+PENALTY = Choice("judge.loss", "least-squares", "with a gradient penalty", "judge.loss=variants:PENALISED")
 CHOICES = {
     "rail": [
         Choice("search.n_top", "all 16", "8", "search.n_top=8"),
@@ -126,8 +126,7 @@ def train(this: Training) -> pd.DataFrame:
 
 
 def _learned(this: Training, world: config.Config, out: Path, iterations: int) -> RunDirectory:
-    section = world.train.model_copy(update={"iterations": iterations})
-    return training.learn(world.model_copy(update={"train": section}), out, seed=FIRST_SEED + this.number)
+    return training.learn(world.changed(train={"iterations": iterations}), out, seed=FIRST_SEED + this.number)
 
 
 def _rail(this: Training, world: config.Config, out: Path) -> dict[str, run.Who]:
@@ -154,9 +153,7 @@ def _rail(this: Training, world: config.Config, out: Path) -> dict[str, run.Who]
 
 
 def _gail(this: Training, world: config.Config, out: Path) -> dict[str, run.Who]:
-    judge = variants.Penalised if PENALTY.name in this.taken else discriminator.Judge
-    with mock.patch.object(discriminator, "Judge", judge):
-        learned = _learned(this, world, out, this.iterations)
+    learned = _learned(this, world, out, this.iterations)
     return {"last": learned.policy(world), "clone": learned.clone}
 
 

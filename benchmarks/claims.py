@@ -1,9 +1,10 @@
 """What the paper claims beyond its Table 1, in the cells that `rail-sumo reproduce` left in a folder.
 
     rail-sumo reproduce table1 && python benchmarks/claims.py runs/reproduce
+    python benchmarks/claims.py docs/data    # from the cells that the documents' tables are made of
 
-Learners are set beside one another as the table sets them beside the expert: episode by episode on the same traffic, on
-the training seeds that both were trained with. Whatever is finished in the folder counts, of Figures 3 and 4 too.
+Learners are compared with one another as the table compares them with the expert: on the same traffic, training by
+training, over the seeds that both were trained with. Whatever is finished in the folder counts, of Figures 3 and 4 too.
 """
 
 import argparse
@@ -12,63 +13,73 @@ from pathlib import Path
 import numpy as np
 import pandas as pd
 
-from rail_sumo import config, report, training
+from rail_sumo import config, report, statistics, training
+from rail_sumo.experiment import ARGMAX, SAMPLED, SYSTEMS
 from rail_sumo.records import MetaAction
-from rail_sumo.reproduce import ROWS, compare, scores
-from rail_sumo.statistics import interval, mean_difference
+from rail_sumo.reproduce import compare, read_cells, scores
 
 PAIRS = (
-    (("rail", 2), ("bc", 2)),
-    (("rail", 1), ("bc", 1)),
-    (("rail", 1), ("rail", 2)),
-    (("rail", 2), ("gail", 2)),
-    (("rail", 2), ("dagger", 2)),
-    (("rail", 2), ("expert", 0)),
+    (("rail-2", ARGMAX), ("bc-2", ARGMAX)),
+    (("rail-2", ARGMAX), ("bc-2", SAMPLED)),
+    (("rail-1", ARGMAX), ("bc-1", ARGMAX)),
+    (("rail-1", ARGMAX), ("bc-1", SAMPLED)),
+    (("rail-1", ARGMAX), ("rail-2", ARGMAX)),
+    (("rail-2", ARGMAX), ("gail-2", SAMPLED)),
+    (("rail-2", ARGMAX), ("dagger-2", SAMPLED)),
+    (("rail-2", ARGMAX), ("rail-2-unmasked", ARGMAX)),
+    (("rail-2-unmasked", ARGMAX), ("bc-2-unmasked", SAMPLED)),
+    (("rail-2-unmasked", ARGMAX), ("gail-2-unmasked", SAMPLED)),
+    (("rail-2", ARGMAX), ("expert", "")),
 )
 METRICS = ("speed_kmh", "overtakes", "lane_changes")
 
 
 def ratios(cells: pd.DataFrame) -> pd.DataFrame:
-    """A row per learner and number of trajectories: ratios to the expert on the same seeds, with 95 % intervals."""
-    driven_by_expert = cells[cells["learner"] == report.EXPERT]
+    """A row per system, mode and number of trajectories: ratios to the expert on the same seeds, with intervals."""
+    driven_by_expert = cells[cells["system"] == report.EXPERT]
     rows = []
-    for (learner, layers, trajectories), driven in cells.groupby(["learner", "layers", "trajectories"]):
-        if learner == report.EXPERT:
+    for (system, mode, trajectories), driven in cells.groupby(["system", "mode", "trajectories"], sort=False):
+        if system == report.EXPERT:
             continue
-        expert = driven_by_expert[driven_by_expert["training_seed"].isin(driven["training_seed"])]
-        table = compare(pd.concat([driven, expert])).set_index(["learner", "metric"])
+        table = compare(pd.concat([driven, driven_by_expert])).set_index(["system", "metric"])
         of_the_expert = {
-            metric: "{ratio:.3f} ({ratio_low:.3f} to {ratio_high:.3f})".format_map(table.loc[(learner, metric)])
+            metric: "{ratio:.3f} ({ratio_low:.3f} to {ratio_high:.3f})".format_map(table.loc[(system, metric)])
             for metric in (*METRICS, "lateral_reward")
         }
+        told = {"refused": "refused_decisions", "told apart": "told_apart"}
+        figures = {
+            name: "{mean:.2f} ({low:.2f} to {high:.2f})".format_map(table.loc[(system, told[name])]) for name in told
+        }
         seeds = driven["training_seed"].nunique()
-        rows.append({"": ROWS[learner, layers], "shown": trajectories, "seeds": seeds, **of_the_expert})
+        row = {"": SYSTEMS[system].label, "mode": mode, "shown": trajectories, "seeds": seeds}
+        rows.append(row | of_the_expert | figures)
     return pd.DataFrame(rows)
 
 
 def differences(cells: pd.DataFrame) -> pd.DataFrame:
-    """A row per pair and metric: the mean difference, one minus the other, with its 95 % interval."""
+    """A row per pair and metric: the mean difference, one minus the other, with its 95 % interval over trainings."""
     rows = []
     for one, other in PAIRS:
-        ours, theirs = (
-            cells[(cells["learner"] == name) & (cells["layers"] == layers)] for name, layers in (one, other)
-        )
+        ours, theirs = (cells[(cells["system"] == name) & (cells["mode"] == mode)] for name, mode in (one, other))
         seeds = set(ours["training_seed"]) & set(theirs["training_seed"])
         if not seeds:
             continue
         for metric in METRICS:
-            pair = [scores(driven[driven["training_seed"].isin(seeds)], metric) for driven in (ours, theirs)]
-            low, high = interval(mean_difference, *pair)
+            pair = [
+                statistics.units(scores(driven[driven["training_seed"].isin(seeds)], metric), trained=True)
+                for driven in (ours, theirs)
+            ]
+            difference, low, high = statistics.difference(*pair)
             rows.append({
-                "one": ROWS[one], "minus": ROWS[other], "seeds": len(seeds), "metric": metric,
-                "difference": float(mean_difference(*pair)), "low": low, "high": high,
+                "one": " ".join(one), "minus": " ".join(other), "seeds": len(seeds), "metric": metric,
+                "difference": difference, "low": low, "high": high,
             })  # fmt: skip
     return pd.DataFrame(rows)
 
 
 def lane_changing(cells: pd.DataFrame) -> pd.DataFrame:
-    """A row per learner: what share of the lane changes begun was taken back, and what a completed one cost."""
-    sums = cells.groupby(["learner", "layers"], sort=False)[
+    """A row per system and mode: what share of the lane changes begun was taken back, and what a completed one cost."""
+    sums = cells.groupby(["system", "mode"], sort=False)[
         ["lane_changes", "aborted_lane_changes", "lateral_reward", "collisions", "struck"]
     ].sum()
     begun = sums["lane_changes"] + sums["aborted_lane_changes"]
@@ -76,14 +87,14 @@ def lane_changing(cells: pd.DataFrame) -> pd.DataFrame:
         "taken back": sums["aborted_lane_changes"] / begun,
         "lateral reward of one": sums["lateral_reward"] / sums["lane_changes"],
         "contacts": sums["collisions"] + sums["struck"],
-        "episodes": cells.groupby(["learner", "layers"], sort=False).size(),
+        "episodes": cells.groupby(["system", "mode"], sort=False).size(),
     })  # fmt: skip
 
 
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("folder", type=Path, help="what rail-sumo reproduce wrote")
-    cells = pd.read_parquet(parser.parse_args().folder / "cells.parquet")
+    cells = read_cells(parser.parse_args().folder / "cells.parquet")
     world = config.Config()
     print(ratios(cells).to_string(index=False), end="\n\n")
     cells = cells[cells["trajectories"].isin([0, world.train.trajectories])]

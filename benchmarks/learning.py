@@ -15,34 +15,39 @@ import numpy as np
 import pandas as pd
 from scipy import stats
 
-from rail_sumo import experiment, metrics, rollout, training
+from rail_sumo import metrics, rollout, training
+from rail_sumo.experiment import SYSTEMS, Cell
 from rail_sumo.imitation import rail
 from rail_sumo.imitation.demonstrations import Demonstrations
-from rail_sumo.imitation.discriminator import JudgeLoss
+from rail_sumo.imitation.discriminator import Fit
+from rail_sumo.reproduce import read_cells
 from rail_sumo.run_directory import PROGRESS, RunDirectory
 
 SHOWN = ["speed_kmh", "overtakes", "lane_changes", "lateral_reward"]
+FIGURES = [*SHOWN, "refused_decisions", "told_apart", "collisions", "struck"]
 
 
 def seed_by_seed(out: Path) -> pd.DataFrame:
     """A row per training: the mean speed, ratios to the expert, the gain on a clone of the same seed, the time."""
-    cells = pd.read_parquet(out / "cells.parquet")
-    means = cells.groupby(["learner", "layers", "trajectories", "training_seed"], sort=False)[
-        [*SHOWN, "collisions", "struck"]
-    ].mean()
+    cells = read_cells(out / "cells.parquet")
+    cells = cells[cells["as_trained"]]
+    means = cells.groupby(["system", "trajectories", "training_seed"], sort=False)[FIGURES].mean()
     rows = []
-    for (learner, layers, trajectories, seed), driven in means[means.index.get_level_values("layers") > 0].iterrows():
-        ratios = driven[SHOWN] / means.loc[("expert", 0, 0, seed), SHOWN]
-        clones = means["speed_kmh"].get(("bc", layers, trajectories, seed), np.nan)
-        progress = pd.read_csv(out / "runs" / experiment.Cell(learner, layers, trajectories, seed).name / PROGRESS)
+    for (system, trajectories, seed), driven in means.iterrows():
+        if not SYSTEMS[system].trains:
+            continue
+        ratios = driven[SHOWN] / means.loc[("expert", 0, seed), SHOWN]
+        clones = means["speed_kmh"].get((system.replace("rail", "bc"), trajectories, seed), np.nan)
+        progress = pd.read_csv(out / "runs" / Cell(system, trajectories, seed).name / PROGRESS)
         rows.append({
-            "learner": learner,
-            "layers": layers,
+            "system": system,
             "trajectories": trajectories,
             "seed": seed,
             "km/h": driven["speed_kmh"],
             **{f"{name}/expert": ratio for name, ratio in ratios.items()},
             "km/h on its clone": driven["speed_kmh"] - clones,
+            "refused": driven["refused_decisions"],
+            "told apart": driven["told_apart"],
             "contacts": driven["collisions"] + driven["struck"],
             "million steps": progress["environment_steps"].max() / 1e6,
             "minutes": progress["seconds"].max() / 60,
@@ -53,8 +58,8 @@ def seed_by_seed(out: Path) -> pd.DataFrame:
 class Indifferent:
     """Finds everything as likely the expert's as the learner's."""
 
-    def fit(self, expert, learner, rng) -> JudgeLoss:
-        return JudgeLoss(0.25, 0.5, 0.5)
+    def fit(self, expert, learner, rng) -> Fit:
+        return Fit(0.25, 0.5, 0.5)
 
     def returns(self, trajectories) -> np.ndarray:
         return np.zeros(len(trajectories))
@@ -113,7 +118,7 @@ def main() -> None:
     parser.add_argument("--episodes", type=int, default=16, help="of the control")
     given = parser.parse_args()
     if given.control:
-        control(given.folder / "runs" / "rail-2-layer-40-seed0", given.iterations, given.episodes)
+        control(given.folder / "runs" / "rail-2-40-seed0", given.iterations, given.episodes)
     else:
         print(seed_by_seed(given.folder).round(3).to_string(index=False))
 

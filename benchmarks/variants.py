@@ -7,7 +7,8 @@ import numpy as np
 import torch
 from scipy import stats
 
-from rail_sumo.imitation.discriminator import Judge
+from rail_sumo.imitation.discriminator import Discriminator
+from rail_sumo.imitation.losses import Loss, least_squares
 from rail_sumo.imitation.random_search import RandomSearch
 from rail_sumo.records import Trajectory
 
@@ -59,7 +60,7 @@ def clipped_up(search: type[RandomSearch]) -> type[RandomSearch]:
 class Remembering:
     """A judge that learns from the learner's last three iterations, not from the newest alone."""
 
-    def __init__(self, judge: Judge) -> None:
+    def __init__(self, judge: Discriminator) -> None:
         self._judge = judge
         self._last: deque[list[Trajectory]] = deque(maxlen=3)
         self.returns = judge.returns
@@ -69,18 +70,16 @@ class Remembering:
         return self._judge.fit(expert, list(itertools.chain.from_iterable(self._last)), rng)
 
 
-class Penalised(Judge):
-    """A judge whose slope between the two sides costs it 0.2 of its mean square: D is not to become a cliff.
+def penalised(outputs, expert, learner, rng):
+    """Least squares, and 0.2 of the mean square of D's slope between the two sides: D is not to become a cliff.
 
     Source: zero-centred gradient penalty (Thanh-Tung, Tran & Venkatesh 2019).
     """
+    share = torch.from_numpy(rng.random((len(expert), 1), dtype=np.float32))
+    between = (share * expert + (1.0 - share) * learner).requires_grad_()
+    (slope,) = torch.autograd.grad(torch.sigmoid(outputs(between)).sum(), between, create_graph=True)
+    return least_squares(outputs, expert, learner, rng) + 0.2 * slope.square().sum(dim=1).mean()
 
-    def __init__(self, *arguments, **named) -> None:
-        super().__init__(*arguments, **named)
-        self._rng = np.random.default_rng(0)
 
-    def _loss(self, expert, learner):
-        share = torch.from_numpy(self._rng.random((len(expert), 1), dtype=np.float32))
-        between = (share * expert + (1.0 - share) * learner).requires_grad_()
-        (slope,) = torch.autograd.grad(self._judge(between).sum(), between, create_graph=True)
-        return super()._loss(expert, learner) + 0.2 * slope.square().sum(dim=1).mean()
+PENALISED = Loss(penalised)
+"""For `judge.loss=variants:PENALISED`."""

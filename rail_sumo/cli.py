@@ -7,7 +7,7 @@ import os
 import shlex
 import sys
 from collections.abc import Iterator, Mapping
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from functools import partial
 from importlib.metadata import version
 from pathlib import Path
@@ -46,7 +46,7 @@ NetworkFile = Annotated[str | None, typer.Option(metavar="FILE", help=_NETWORK)]
 Routes = Annotated[list[str] | None, typer.Option(metavar="FILE", help="Your own demand; repeatable.")]
 FCD = "fcd"
 """The folder of the floating-car data beside the tables."""
-_POLICY = "A run directory, an expert's folder, or expert, rule, sumo, keep or random."
+_POLICY = "A run directory, an expert's folder, or expert, rule, sumo, sumo:TYPE, keep or random."
 _SEED = "Everything random follows from it."
 Seed = Annotated[int, typer.Option(min=0, help=_SEED)]
 _WORKERS, _CORES = "Processes that drive.", "as many as cores"
@@ -90,7 +90,7 @@ def train(
     seed: Annotated[int | None, typer.Option(min=0, help=_SEED, show_default="0")] = None,
     events: Annotated[bool, typer.Option("--tensorboard", help="Also write event files.")] = False,
 ) -> None:
-    """Learn a driver from demonstrations and set it beside its clone, if it has one, and the expert."""
+    """Learn a driver from demonstrations and compare it with its clone, if it has one, and the expert."""
     from rail_sumo import run
     from rail_sumo.run_directory import CONFIG, RunDirectory
     from rail_sumo.tensorboard import Events
@@ -125,6 +125,10 @@ def evaluate(
     out: Annotated[Path | None, typer.Option(help="Folder for the tables, as CSV and Parquet.")] = None,
     overwrite: Overwrite = False,
     fcd: Annotated[bool, typer.Option("--fcd", help="Also SUMO's floating-car data of every episode.")] = False,
+    reference: Annotated[str, typer.Option(metavar="POLICY", help="The policy that ratios refer to.")] = "expert",
+    mode: Annotated[
+        Literal["default", "argmax", "sampled"], typer.Option(help="How learned policies act; by default as trained.")
+    ] = "default",
 ) -> None:
     """Drive policies through the same held-out traffic and compare them.
 
@@ -140,11 +144,22 @@ def evaluate(
             )
     elif fcd:
         raise InputError("--fcd writes into the folder of --out; name one")
+    if reference not in (*policies, "expert"):
+        raise InputError(f"--reference {reference} is not among the policies: {', '.join(policies)}; name it there too")
     n_workers = _workers(workers)
     world = run.world(policies, _overrides(network, routes, overrides))
-    who = {policy: run.find_driver(policy, world) for policy in policies}
+    who = {policy: run.find_driver(policy, world, mode) for policy in policies}
     with _bars() as bars:
-        drive = partial(run.evaluate, who, world, episodes=episodes, seed=seed, workers=n_workers, observer=bars)
+        drive = partial(
+            run.evaluate,
+            who,
+            world,
+            episodes=episodes,
+            seed=seed,
+            workers=n_workers,
+            observer=bars,
+            reference=reference,
+        )
         if out and fcd:
             with files.whole_folder(out, overwrite=overwrite) as whole:
                 tables = drive(fcd=whole / FCD)
@@ -178,8 +193,13 @@ def reproduce(
     routes: Routes = None,
     overrides: Overrides = None,
     out: Annotated[Path, typer.Option(help="Folder for cells, table and figures.")] = Path("runs/reproduce"),
+    only: Annotated[
+        str, typer.Option(metavar="SYSTEM,...", help="Some rows or curves alone.", show_default="all")
+    ] = "",
     seeds: Annotated[int | None, typer.Option(help="Trainings per cell.", show_default="10, with --quick 2")] = None,
+    episodes: Annotated[int, typer.Option(help="Held-out episodes of each training.")] = 32,
     quick: Annotated[bool, typer.Option("--quick", help="Fewer iterations, for a first look.")] = False,
+    cells: Annotated[Path | None, typer.Option(metavar="FILE", help="Only from these cells; train nothing.")] = None,
     workers: LocalWorkers = "",
 ) -> None:
     """Repeat the paper's experiments; what is in the folder already is not done again."""
@@ -189,10 +209,18 @@ def reproduce(
     chosen = config.load(config_file, _overrides(network, routes, overrides))
     n_seeds = (2 if quick else 10) if seeds is None else seeds
     n_workers = _workers(workers)
+    systems = reproduce.chosen(only)
     try:
         with _bars() as bars:
-            experiment = Experiment(chosen, out, seeds=n_seeds, quick=quick, workers=n_workers, observer=bars)
-            reproduce.table1(experiment) if what == "table1" else reproduce.figures(experiment)
+            experiment = Experiment(chosen, out, n_seeds, episodes, quick=quick, workers=n_workers, observer=bars)
+            if what == "table1":
+                if cells:
+                    reproduce.table1_of(cells, out, systems, trajectories=chosen.train.trajectories)
+                else:
+                    reproduce.table1(experiment, systems)
+            else:
+                curves = systems if only else reproduce.FIGURES
+                reproduce.figures_of(cells, out, curves) if cells else reproduce.figures(experiment, curves)
     except KeyboardInterrupt:
         print("rail-sumo: interrupted; the same command goes on", file=sys.stderr)
         raise typer.Exit(130) from None
@@ -325,17 +353,13 @@ def _workers(text: str) -> int | Literal["ray"]:
     return int(text)
 
 
-# What a bar tells of the part just done. With it the bar fits into 80 columns.
-_DRIVEN = "{speed_kmh:.1f} km/h {lane_changes:.1f} changes"
-_JUDGED = "reward {mean_return:+.2f} judge {judge_expert_mean:.2f}/{judge_learner_mean:.2f} " + _DRIVEN
-_FIGURES = {
-    "rail": _JUDGED,
-    "gail": _JUDGED,
-    "ars": "reward {mean_return:+.1f} " + _DRIVEN,
-    "dagger": _DRIVEN,
-    "eval": _DRIVEN,
-    "record": _DRIVEN,
-}
+# What a bar tells of the part just done, where that is known. With all of it the bar fits into 80 columns.
+_FIGURES = (
+    "reward {mean_return:+.2f}",
+    "judge {judge_expert_mean:.2f}/{judge_learner_mean:.2f}",
+    "{speed_kmh:.1f} km/h",
+    "{lane_changes:.1f} changes",
+)
 
 
 class _Bars:
@@ -344,14 +368,16 @@ class _Bars:
     def __init__(self, progress: Progress) -> None:
         self._progress = progress
         self._task = TaskID(0)
-        self._form = ""
 
     def start(self, work: str, total: int, done: int = 0) -> None:
-        self._form = _FIGURES.get(work, "")
         self._task = self._progress.add_task(work, total=total, completed=done, figures="")
 
     def advance(self, figures: Mapping[str, float]) -> None:
-        self._progress.update(self._task, advance=1, figures=self._form.format_map(figures))
+        told = []
+        for form in _FIGURES:
+            with suppress(KeyError):
+                told.append(form.format_map(figures))
+        self._progress.update(self._task, advance=1, figures=" ".join(told))
 
 
 @contextmanager
@@ -372,6 +398,6 @@ def _show(tables: "Tables", out: Path | None) -> None:
     from rail_sumo import report
 
     console = Console() if sys.stdout.isatty() else Console(width=100)
-    console.print(report.table(tables[1]))
+    console.print(report.table(tables[1], width=console.width))
     if out:
         console.print(f"tables in {escape(str(out))}", soft_wrap=True)

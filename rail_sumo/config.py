@@ -187,6 +187,12 @@ class Policy(_Section):
     """1 is linear, 2 have tanh units between."""
     hidden: Annotated[int, Field(ge=1, le=1024)] = 32
     """How many of these units."""
+    masked: bool = True
+    """Whether it chooses among the meta-actions that the assistance layer would carry out now, as the expert does; else
+    it may ask for lane changes that are not open, and is refused."""
+    mode: Literal["default", "argmax", "sampled"] = "default"
+    """How it acts: by its most probable meta-action (argmax), or by one drawn with the policy's probabilities
+    (sampled). Training drives alike, but GAIL's always samples. By default argmax of RAIL and ARS, else sampled."""
 
 
 class Cloning(_Section):
@@ -224,10 +230,13 @@ class Search(_Section):
 
 
 class Judge(_Section):
-    """The discriminator and its least-squares training."""
+    """The discriminator and its training."""
 
     hidden: tuple[Count, ...] = (100, 100)
     """Units of each hidden layer."""
+    loss: str = "least-squares"
+    """What it minimises: least-squares, cross-entropy, or one from outside, written module:attribute (a
+    `rail_sumo.imitation.losses.Loss`)."""
     learning_rate: Positive = 3e-4
     minibatches: Count = 10
     """For every iteration. With many more it learns its demonstrations by heart."""
@@ -278,17 +287,11 @@ class Ars(_Section):
     """Whether observations are whitened by the statistics of all met so far (V2) or taken as they are (V1)."""
 
 
-Learner = Literal["rail", "gail", "bc", "dagger", "ars"]
-
-ITERATIONS: dict[Learner, int] = {"rail": 160, "gail": 160, "bc": 0, "dagger": 20, "ars": 160}
-"""How many iterations each learner has unless told."""
-
-
 class Train(_Section):
     """One training run."""
 
-    learner: Learner = "rail"
-    """rail, gail, bc, dagger or ars."""
+    learner: str = "rail"
+    """rail, gail, bc, dagger or ars; or one from outside, written module:attribute (see `training.Learner`)."""
     expert: str = "shipped"
     """Who is imitated, asked and compared with: "shipped", or a folder that `rail-sumo expert train` wrote."""
     demonstrations: str = "expert"
@@ -310,14 +313,9 @@ class Train(_Section):
 
     @property
     def n_iterations(self) -> int:
-        """How many iterations to do."""
-        return ITERATIONS[self.learner] if self.iterations == "default" else self.iterations
-
-    @model_validator(mode="after")
-    def _cloning_has_none(self) -> "Train":
-        if self.learner == "bc" and self.n_iterations:
-            raise ValueError(f"learner 'bc' has no iterations, got iterations {self.iterations}; leave them out")
-        return self
+        """How many iterations to do, in a configuration that `training.resolved` returned."""
+        assert self.iterations != "default"
+        return self.iterations
 
 
 class Expert(_Section):
@@ -370,15 +368,14 @@ class Config(_Section):
     train: Train = Train()
     expert: Expert = Expert()
 
-    def resolved(self) -> "Config":
-        """Return it with the number of iterations written out, whatever the default will be one day."""
-        train = self.train.model_copy(update={"iterations": self.train.n_iterations})
-        return self.model_copy(update={"train": train})
+    def changed(self, **sections: dict[str, Any]) -> "Config":
+        """Return it with other values of some keys, by section; they are not checked."""
+        updated = {name: getattr(self, name).model_copy(update=keys) for name, keys in sections.items()}
+        return self.model_copy(update=updated)
 
     def practice(self, horizon_s: float) -> "Config":
         """Return the same world with episodes that only time ends, as learners train in it."""
-        episode = self.episode.model_copy(update={"course_m": math.inf, "duration_s": horizon_s})
-        return self.model_copy(update={"episode": episode})
+        return self.changed(episode={"course_m": math.inf, "duration_s": horizon_s})
 
     def flat(self) -> dict[str, Any]:
         """Return every key as `section.key`, with its value."""

@@ -14,7 +14,7 @@ from rail_sumo.errors import InputError, ObservationError, did_you_mean
 from rail_sumo.highway import acc
 from rail_sumo.highway.acc import Leader
 from rail_sumo.highway.env import HighwayEnv
-from rail_sumo.policy import Policy
+from rail_sumo.policy import PolicyParameters
 from rail_sumo.records import Floats, Gaps, MetaAction
 
 
@@ -95,27 +95,27 @@ class Expert:
 
 
 class Learned:
-    """A learned policy; it sees the observation alone."""
+    """A learned policy. It sees the observation; if it is masked, also which meta-actions would be carried out now.
 
-    def __init__(self, policy: Policy) -> None:
-        self._policy = policy
+    Args:
+        parameters: the policy, whether it samples, and whether it is masked.
+        seed: of sampling.
+    """
 
-    def decide(self, observation: Floats, env: HighwayEnv) -> int:
-        """Return the policy's action."""
-        return self._policy(observation)
-
-
-class Sampling:
-    """A learned policy that samples its actions, each with its softmax probability."""
-
-    def __init__(self, policy: Policy, seed: int) -> None:
-        self._policy = policy
-        self._rng = np.random.default_rng([seed, 2])  # a stream of its own, beside the traffic's
+    def __init__(self, parameters: PolicyParameters, seed: int) -> None:
+        self._policy = parameters.policy()
+        self._masked = parameters.masked
+        # A stream of its own, beside the traffic's.
+        self._rng = np.random.default_rng([seed, 2]) if parameters.samples else None
 
     def decide(self, observation: Floats, env: HighwayEnv) -> int:
-        """Return a sampled action."""
+        """Return the most probable action, or a sampled one."""
         outputs = self._policy.outputs(observation)
-        return int(np.argmax(outputs + self._rng.gumbel(size=len(outputs))))  # the Gumbel-max trick
+        if self._rng is not None:
+            outputs = outputs + self._rng.gumbel(size=len(outputs))  # the Gumbel-max trick
+        if self._masked:
+            outputs = np.where(env.action_masks(), outputs, -np.inf)
+        return int(outputs.argmax())
 
 
 class Advised:
@@ -133,7 +133,23 @@ class Advised:
 
 
 NAMES = ("expert", "rule", "sumo", "keep", "random")
-"""Drivers by name. `sumo` keeps too: SUMO drives in its stead (`HighwayEnv(hands_off=True)`)."""
+"""Drivers by name. `sumo` keeps too: SUMO drives in its stead (`HighwayEnv(hands_off=True)`).
+
+So does `sumo:TYPE`, with the host as a vehicle of one of the demand's types.
+"""
+SUMO_AS = "sumo:"
+
+
+def is_name(policy: str) -> bool:
+    """Return whether a driver goes by the name."""
+    return policy in NAMES or (policy.startswith(SUMO_AS) and policy != SUMO_AS)
+
+
+def hands_off(name: object) -> bool | str:
+    """Return whether SUMO's own driver drives under the name, as `HighwayEnv` takes it: or as which vehicle type."""
+    if not isinstance(name, str) or not is_name(name):
+        return False
+    return name.removeprefix(SUMO_AS) if name.startswith(SUMO_AS) else name == "sumo"
 
 
 def by_name(name: str, config: Config, seed: int) -> Driver:
@@ -143,7 +159,9 @@ def by_name(name: str, config: Config, seed: int) -> Driver:
         InputError: no such driver; the expert senses something else than the configuration says.
     """
     match name:
-        case "keep" | "sumo":
+        case "keep":
+            return Keep()
+        case _ if hands_off(name):
             return Keep()
         case "random":
             return Random(np.random.default_rng([seed, 1]))  # not the stream that the traffic draws from

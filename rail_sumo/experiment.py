@@ -9,48 +9,93 @@ and the files that it follows from.
 import json
 import re
 import tomllib
-from collections.abc import Iterable
-from dataclasses import dataclass
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass, field, replace
 from pathlib import Path
-from typing import cast
+from typing import Any
 
+import numpy as np
 import pandas as pd
 import pyarrow as pa
 import pyarrow.parquet as pq
 
-from rail_sumo import drivers, report, rollout, run, training
-from rail_sumo.config import ITERATIONS, Config, Learner, dumps, validate
+from rail_sumo import drivers, metrics, report, rollout, run, training
+from rail_sumo.audit import told_apart
+from rail_sumo.config import Config, dumps, validate
 from rail_sumo.errors import InputError
 from rail_sumo.files import check_folder, whole_file
-from rail_sumo.records import EPISODE_COLUMNS
-from rail_sumo.rollout import SILENT, Observer, Who, WorkerCount
+from rail_sumo.records import EPISODE_COLUMNS, Trajectory
+from rail_sumo.rollout import EVALUATION, SILENT, Observer, Task, Who, WorkerCount, traffic_seed
 from rail_sumo.run_directory import RunDirectory
-
-LEARNERS = ("rail", "rewarded", "gail", "bc", "dagger")
-"""Who is trained; `rewarded` is RAIL that the environment pays too."""
 
 QUICK = 4
 """An experiment that is to show its shape within minutes has so many times fewer iterations."""
 
-REWARD_WEIGHT = 3.0
-"""Of the environment's reward beside the judge's, for RAIL that is paid both; `rail.reward_weight` tells another."""
-
 MADE_OF = b"rail_sumo"
 """The key of a cell's metadata that tells its configuration and the SHA-256 of the files it read."""
 
-CELL_COLUMNS = {"learner": "string", "layers": "int64", "trajectories": "int64", "training_seed": "int64"} | {
-    name: kind for name, kind in EPISODE_COLUMNS.items() if name != "policy"
+ARGMAX, SAMPLED = "argmax", "sampled"
+"""How a learned driver acts, see `config.Policy.mode`. Every training is evaluated either way."""
+
+CELL_COLUMNS = {
+    "system": "string",
+    "mode": "string",  # "" of a driver that does not train
+    "as_trained": "bool",  # whether that is the mode it was trained in
+    "trajectories": "int64",
+    "training_seed": "int64",
+    **{name: kind for name, kind in EPISODE_COLUMNS.items() if name != "policy"},
+    "told_apart": "float64",  # by a fresh classifier, see `audit`
 }
+
+Sections = Mapping[str, dict[str, Any]]
+
+
+@dataclass(frozen=True)
+class System:
+    """A learner with its settings, or a driver that does not train: what one row of a table is about."""
+
+    label: str
+    sections: Sections = field(default_factory=dict)
+    """What its configuration says otherwise than the experiment's, by section; nothing for a driver."""
+
+    @property
+    def trains(self) -> bool:
+        """Whether it learns; else its name is a driver's."""
+        return bool(self.sections)
+
+
+def _learner(label: str, learner: str, layers: int, **sections: dict[str, Any]) -> System:
+    policy = {"layers": layers} | sections.pop("policy", {})
+    unpaid = {"rail": {"reward_weight": 0.0}}
+    return System(label, {"train": {"learner": learner}, "policy": policy} | unpaid | sections)
+
+
+UNMASKED = {"policy": {"masked": False}}
+
+SYSTEMS = {
+    "rail-2": _learner("RAIL, two layers", "rail", 2),
+    "rail-1": _learner("RAIL, one layer", "rail", 1),
+    "bc-2": _learner("behaviour cloning, two layers", "bc", 2),
+    "bc-1": _learner("behaviour cloning, one layer", "bc", 1),
+    "gail-2": _learner("GAIL, two layers", "gail", 2),
+    "dagger-2": _learner("DAgger, two layers", "dagger", 2),
+    "rewarded-2": _learner("RAIL and the reward, two layers", "rail", 2, rail={"reward_weight": 3.0}),
+    "rail-2-unmasked": _learner("RAIL, two layers, unmasked", "rail", 2, **UNMASKED),
+    "bc-2-unmasked": _learner("behaviour cloning, two layers, unmasked", "bc", 2, **UNMASKED),
+    "gail-2-unmasked": _learner("GAIL, two layers, unmasked", "gail", 2, **UNMASKED),
+    "rule": System("rule driver"),
+    "sumo": System("SUMO's driver"),
+    "expert": System("expert"),
+}
+"""Whatever is set side by side, by the name that `--only` and the files of an experiment know it by."""
 
 
 @dataclass(frozen=True, order=True)
 class Cell:
     """One training, or one driver that does not train, and its held-out episodes."""
 
-    learner: str
-    """Of `LEARNERS`, or a driver's name."""
-    layers: int
-    """0 of a driver that does not train."""
+    system: str
+    """Of `SYSTEMS`."""
     trajectories: int
     """How many it was shown; 0 of a driver that does not train."""
     seed: int
@@ -58,17 +103,13 @@ class Cell:
     @property
     def name(self) -> str:
         """What its files are called."""
-        return f"{self.learner}-{self.layers}-layer-{self.trajectories}-seed{self.seed}"
+        return f"{self.system}-{self.trajectories}-seed{self.seed}"
 
     @classmethod
     def parse(cls, name: str) -> "Cell | None":
         """Return the cell whose files are called so, if any is."""
-        found = re.fullmatch(r"(\w+)-(\d)-layer-(\d+)-seed(\d+)", name)
-        if not found:
-            return None
-        cell = cls(found[1], int(found[2]), int(found[3]), int(found[4]))
-        layers = (1, 2) if cell.learner in LEARNERS else (0,) if cell.learner in drivers.NAMES else ()
-        return cell if cell.layers in layers else None
+        found = re.fullmatch(r"([\w-]+)-(\d+)-seed(\d+)", name)
+        return cls(found[1], int(found[2]), int(found[3])) if found and found[1] in SYSTEMS else None
 
 
 @dataclass(frozen=True)
@@ -76,11 +117,13 @@ class Experiment:
     """What all its cells have in common."""
 
     config: Config
-    """Of every training; learner, layers and number of trajectories are the cell's."""
+    """Of every training; what its system says otherwise, and the number of trajectories, are the cell's."""
     out: Path
     """Its folder, which may hold some of it already, of the same configuration."""
     seeds: int
     """Trainings of each learner, with seeds from 0."""
+    episodes: int = 32
+    """Held-out episodes of each training and mode, and of each driver on every seed's traffic."""
     quick: bool = False
     """For a first look: a quarter of the iterations, unless `train.iterations` says how many."""
     workers: WorkerCount = 1
@@ -88,23 +131,23 @@ class Experiment:
     observer: Observer = SILENT
     """Is told of every cell."""
 
-    def drive(self, grid: Iterable[tuple[str, int, int]]) -> pd.DataFrame:
-        """Bring a cell for every seed and every (learner, layers, trajectories) to its end; write `cells` into `out`.
+    def drive(self, grid: Iterable[tuple[str, int]]) -> pd.DataFrame:
+        """Bring a cell for every seed and every (system, trajectories) to its end; write `cells` into `out`.
 
         Returns:
             Their episodes, in the grid's order: `CELL_COLUMNS`.
 
         Raises:
             InputError: as in `run.train`; the expert does not drive in this world; `out` holds trainings of another
-                configuration or of more iterations; seeds below 1; workers on a cluster.
+                configuration or of more iterations; seeds or episodes below 1; workers on a cluster.
         """
         if self.seeds < 1:
             raise InputError(f"--seeds must be at least 1; got {self.seeds}")
         if self.workers == "ray":
             raise InputError("reproduce keeps its cells on this machine and takes a number of --workers, not ray")
         check_folder(self.out, overwrite=True)
-        run.require_drivable(self.config, self.config.train.evaluation_episodes)
-        drivers.load_expert(self.config)  # everybody is set beside it
+        run.require_drivable(self.config, self.episodes)
+        drivers.load_expert(self.config)  # every ratio refers to it
         systems = list(grid)
         work = [self._work(Cell(*system, seed)) for seed in range(self.seeds) for system in systems]
         training.demonstrations_of(max(work, key=lambda one: one.cell.trajectories).config)  # are there so many?
@@ -120,7 +163,8 @@ class Experiment:
         return _typed(driven)
 
     def _work(self, cell: Cell) -> "_Work":
-        return _Work(cell, _world(cell, self.config, self.quick), self.out)
+        config = self.config.changed(train={"evaluation_episodes": self.episodes})
+        return _Work(cell, _world(cell, config, self.quick), self.out)
 
     def _all_finished(self) -> list[pd.DataFrame]:
         """Return what every finished cell of this configuration came to, in the order of `CELL_COLUMNS`."""
@@ -160,7 +204,7 @@ class _Work:
 
     def save(self, episodes: pd.DataFrame) -> None:
         """Write the result."""
-        about = {"training_seed" if name == "seed" else name: value for name, value in vars(self.cell).items()}
+        about = {"system": self.cell.system, "trajectories": self.cell.trajectories, "training_seed": self.cell.seed}
         table = pa.Table.from_pandas(report.typed(episodes.assign(**about), CELL_COLUMNS), preserve_index=False)
         made_of = json.dumps({"config": dumps(self.config), "inputs": self._inputs})
         with whole_file(self._file) as partial:
@@ -177,47 +221,59 @@ class _Work:
     @property
     def _inputs(self) -> dict[str, str]:
         """The files that the result follows from."""
-        inputs = training.inputs_of(self.config)
-        if self.cell.learner == report.EXPERT:
-            inputs |= training.expert_input(self.config)
-        return inputs
+        return training.inputs_of(self.config) | training.expert_input(self.config)
 
 
 def _world(cell: Cell, config: Config, quick: bool) -> Config:
     """Return the configuration that a cell is trained and driven with."""
-    if not cell.layers:
-        return config.resolved()
-    learner: Learner = "rail" if cell.learner == "rewarded" else cast(Learner, cell.learner)
-    default = config.train.iterations == "default"
-    iterations = ITERATIONS[learner] // QUICK if quick and default else config.train.iterations
-    changed = {
-        "learner": learner,
-        "trajectories": cell.trajectories,
-        "iterations": "default" if cell.learner == "bc" else iterations,
-    }
-    weight = (config.rail.reward_weight or REWARD_WEIGHT) if cell.learner == "rewarded" else 0.0
-    return config.model_copy(
-        update={
-            "policy": config.policy.model_copy(update={"layers": cell.layers}),
-            "rail": config.rail.model_copy(update={"reward_weight": weight}),
-            "train": config.train.model_copy(update=changed),
-        }
-    ).resolved()
+    system = SYSTEMS[cell.system]
+    if not system.trains:
+        return training.resolved(config)
+    world = config.changed(**system.sections).changed(train={"trajectories": cell.trajectories})
+    learner = training.learner_of(world)
+    if not learner.iterations:
+        return training.resolved(world.changed(train={"iterations": "default"}))
+    if quick and config.train.iterations == "default":
+        world = world.changed(train={"iterations": learner.iterations // QUICK})
+    return training.resolved(world)
 
 
 def _finish(work: _Work) -> pd.DataFrame:
     """Bring a cell to its end, wherever it stands, and return its episodes; runs in a process of its own."""
-    cell, world = work.cell, work.config
     if not work.is_finished:
-        if cell.layers:
-            learned = training.learn(world, work.run, seed=cell.seed, resume=work.run.exists())
-            driver: Who = learned.policy(world)
-        else:
-            driver = run.find_driver(cell.learner, world)
-        n_episodes = world.train.evaluation_episodes
-        episodes, _ = run.evaluate({cell.learner: driver}, world, episodes=n_episodes, seed=cell.seed)
-        work.save(episodes)
+        work.save(_driven(work))
     return work.result()
+
+
+def _driven(work: _Work) -> pd.DataFrame:
+    """Train the cell's system if it trains, and drive it, in either mode, on its seed's held-out traffic."""
+    cell, world = work.cell, work.config
+    n = world.train.evaluation_episodes
+    who: dict[str, Who] = {"": cell.system}
+    if SYSTEMS[cell.system].trains:
+        learned = training.learn(world, work.run, seed=cell.seed, resume=work.run.exists()).policy(world)
+        who = {ARGMAX: replace(learned, samples=False), SAMPLED: replace(learned, samples=True)}
+    expert = _episodes(report.EXPERT, world, cell.seed, range(n))
+    parts = []
+    for mode, driver in who.items():
+        driven = expert if cell.system == report.EXPERT else _episodes(driver, world, cell.seed, range(n))
+        # Set beside itself, the expert is on other traffic: the measure's negative control.
+        beside = _episodes(report.EXPERT, world, cell.seed, range(n, 2 * n)) if driven is expert else expert
+        rows = [{"episode": number, **metrics.row(one, world.adas)} for number, one in enumerate(driven)]
+        parts.append(
+            pd.DataFrame(rows).assign(
+                mode=mode,
+                as_trained=mode in ("", world.policy.mode),
+                told_apart=told_apart(driven, beside) if cell.system != "sumo" else np.nan,  # which takes no decisions
+            )
+        )
+    return pd.concat(parts, ignore_index=True)
+
+
+def _episodes(driver: Who, world: Config, seed: int, numbers: range) -> list[Trajectory]:
+    if isinstance(driver, str):
+        driver = run.find_driver(driver, world)
+    return [rollout.drive(Task(driver, world, traffic_seed(seed, EVALUATION, number))) for number in numbers]
 
 
 def _typed(cells: list[pd.DataFrame]) -> pd.DataFrame:

@@ -97,8 +97,9 @@ def against_trajectories(trajectories: Sequence[int], curves: Mapping[str, Float
     places = np.arange(len(trajectories))
     for at, (name, curve) in enumerate(curves.items()):
         ratio, low, high = curve.T
-        colour = _COLOURS[at]
-        axes.plot(places, ratio, _STYLES[at], marker=_MARKERS[at], color=colour, label=name)
+        colour = _COLOURS[at % len(_COLOURS)]
+        style, marker = _STYLES[at % len(_STYLES)], _MARKERS[at % len(_MARKERS)]
+        axes.plot(places, ratio, style, marker=marker, color=colour, label=name)
         axes.fill_between(places, low, high, color=colour, alpha=0.15, linewidth=0.0)
     axes.axhline(1.0, color="0.4", linewidth=0.8, zorder=0)
     beside = axes.get_yaxis_transform()  # no curve comes there

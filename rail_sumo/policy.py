@@ -101,6 +101,8 @@ class PolicyParameters:
     whitening: Whitening
     samples: bool = False
     """Whether actions are sampled with their softmax probabilities; else the most probable one is taken."""
+    masked: bool = False
+    """Whether it chooses among the meta-actions that the assistance layer would carry out now."""
 
     def policy(self) -> Policy:
         """Return the callable supervisor."""

@@ -131,6 +131,8 @@ class Trajectory:
     """(n_decisions,): the `MetaAction` it decided."""
     carried_out: NDArray[np.int64]
     """(n_decisions,): the `MetaAction` carried out; KEEP for a lane change refused or under way already."""
+    allowed: NDArray[np.bool_]
+    """(n_decisions, 5): which meta-actions the supervisor was told it may choose; all of them where nobody asked."""
     speed_mps: Floats
     """(n_steps + 1,): the host's speed at the start and after every SUMO step."""
     distance_m: float
@@ -185,13 +187,19 @@ EPISODE_COLUMNS: dict[str, str] = {
 SUMMARY_COLUMNS: dict[str, str] = {
     "policy": "string",
     "metric": "string",
+    "episodes": "int64",
     "mean": "float64",
-    "iqm": "float64",
     "low": "float64",
     "high": "float64",
-    "ratio_to_expert": "float64",
+    "reference": "string",
+    "ratio": "float64",
+    "ratio_low": "float64",
+    "ratio_high": "float64",
+    "difference": "float64",
+    "difference_low": "float64",
+    "difference_high": "float64",
 }
-"""Columns of the `summary` table, in order: interquartile mean with its 95 % interval `low`..`high`; see `report`."""
+"""Columns of the `summary` table, in order; see `report.summary`."""
 
 METRICS: tuple[str, ...] = tuple(
     name for name, kind in EPISODE_COLUMNS.items() if kind != "string" and name not in ("episode", "seed")

@@ -10,12 +10,12 @@ from rich.box import SIMPLE_HEAD
 from rich.markup import escape
 from rich.table import Table
 
+from rail_sumo import statistics
 from rail_sumo.files import whole_folder
 from rail_sumo.records import EPISODE_COLUMNS, METRICS, SUMMARY_COLUMNS, Floats
-from rail_sumo.statistics import interval, iqm, share_interval
 
 EXPERT = "expert"
-"""The policy that ratios refer to."""
+"""The policy that ratios refer to unless another is named."""
 
 CONTACTS = ("collisions", "struck")
 """Metrics that are 0 in nearly every episode."""
@@ -29,45 +29,59 @@ def episodes(rows: Iterable[dict[str, Any]]) -> pd.DataFrame:
     return typed(rows, EPISODE_COLUMNS)
 
 
-def summary(episodes: pd.DataFrame) -> pd.DataFrame:
+def summary(episodes: pd.DataFrame, reference: str = EXPERT) -> pd.DataFrame:
     """Return the `summary` table: a row per policy and metric, over that policy's episodes.
 
-    `iqm` is the interquartile mean (the mean of the middle half of the episodes), `low` and `high` its 95 %
-    percentile-bootstrap interval over episodes (see `statistics`). Of `collisions` and `struck` they are Wilson's
-    interval of the share of episodes with one. `ratio_to_expert` is the ratio of the means, every policy driving on the
-    same traffic. It is NaN where the expert was not evaluated beside or its mean is 0.
+    `low` and `high` are the 95 % interval of `mean`. `ratio` is the policy's mean over the reference's, `difference`
+    the mean of policy minus reference, both episode by episode on the same traffic, with intervals of their own (see
+    `statistics`). Of `collisions` and `struck` the interval is Wilson's, of the share of episodes with one, and ratio
+    and difference have none. Without an interval, as of one episode or of episodes that are all the same, both ends are
+    NaN; so are ratio and difference where the reference was not evaluated beside.
 
     Episodes in which the host never closed in on a vehicle have an infinite `min_ttc_s`; that metric is summarised
-    over the others, and NaN if there are none.
+    over the others, `episodes` of them, and NaN if there are none.
+
+    Args:
+        episodes: the `episodes` table.
+        reference: the policy that ratios and differences refer to.
     """
-    expert = episodes[episodes["policy"] == EXPERT]
+    by_policy = {policy: driven.set_index("episode") for policy, driven in episodes.groupby("policy", sort=False)}
     rows = []
-    for policy, driven in episodes.groupby("policy", sort=False):
+    for policy, driven in by_policy.items():
+        beside = by_policy.get(reference, driven.iloc[:0]).reindex(driven.index)
         for metric in METRICS:
-            values, reference = _finite(driven[metric]), _finite(expert[metric])
-            low, high = metric_interval(metric, values[None]) if len(values) else (np.nan, np.nan)
-            rows.append(
-                {
-                    "policy": policy,
-                    "metric": metric,
-                    "mean": _mean(values),
-                    "iqm": float(iqm(values[None])) if len(values) else np.nan,
-                    "low": low,
-                    "high": high,
-                    "ratio_to_expert": _mean(values) / (_mean(reference) or np.nan),
-                }
-            )
+            scores, theirs = (table[metric].to_numpy(np.float64, na_value=np.nan)[None] for table in (driven, beside))
+            told = {
+                "policy": policy,
+                "metric": metric,
+                "episodes": int(np.isfinite(scores).sum()),
+                "reference": reference,
+            }
+            rows.append(told | figures(metric, scores, theirs, trained=False))
     return typed(rows, SUMMARY_COLUMNS)
 
 
-def metric_interval(metric: str, scores: Floats) -> tuple[float, float]:
-    """Return a metric's 95 % interval: of a contact's share of the episodes, else of the interquartile mean.
+def figures(metric: str, scores: Floats, reference: Floats, *, trained: bool) -> dict[str, float]:
+    """Return a metric's mean, its ratio to the reference's and the difference, each with its interval.
 
     Args:
         metric: one of `METRICS`.
-        scores: shape (n_seeds, n_episodes), not empty.
+        scores: shape (n_seeds, n_episodes); what is not finite is left out.
+        reference: the reference's on the same traffic, of the same shape; NaN where it did not drive.
+        trained: whether each seed is a training of its own; see `statistics.units`.
     """
-    return share_interval(scores) if metric in CONTACTS else interval(iqm, scores)
+    ours, theirs = (statistics.units(one, trained=trained) for one in (scores, reference))
+    both = np.isfinite(ours) & np.isfinite(theirs)
+    mean = statistics.mean(ours[np.isfinite(ours)])
+    ratio, difference = statistics.ratio(ours[both], theirs[both]), statistics.difference(ours[both], theirs[both])
+    if metric in CONTACTS:
+        mean = statistics.share(scores)
+        ratio, difference = (one._replace(low=np.nan, high=np.nan) for one in (ratio, difference))
+    return {
+        "mean": mean.value, "low": mean.low, "high": mean.high,
+        "ratio": ratio.value, "ratio_low": ratio.low, "ratio_high": ratio.high,
+        "difference": difference.value, "difference_low": difference.low, "difference_high": difference.high,
+    }  # fmt: skip
 
 
 def write(folder: Path, *, overwrite: bool = False, **tables: pd.DataFrame) -> None:
@@ -90,46 +104,62 @@ def save(folder: Path, **tables: pd.DataFrame) -> None:
         table.to_parquet(folder / f"{name}.parquet", index=False)
 
 
-# What the terminal shows: heading -> metric and format. The rest is in the files.
-_SHOWN = {
-    "speed\nkm/h": ("speed_kmh", ".1f"),
-    "overtakes": ("overtakes", ".1f"),
-    "lane\nchanges": ("lane_changes", ".1f"),
-    "lateral\nreward": ("lateral_reward", ".1f"),
-    "collisions": ("collisions", ".2f"),
-    "struck": ("struck", ".2f"),
+# What the terminal shows, with intervals and ratios: heading -> metric and decimals. Then means alone.
+_COMPARED = {
+    "speed\nkm/h": ("speed_kmh", 1),
+    "overtakes": ("overtakes", 1),
+    "lane\nchanges": ("lane_changes", 1),
 }
+_TOLD = {
+    "refused": ("refused_decisions", 1),
+    "over-\ntaken": ("overtaken", 1),
+    "hard\nbrakings": ("hard_brakings", 2),
+}
+_TOLD_IF_WIDE = 2  # the last so many of these
+WIDE = 100
+"""How many columns the whole table takes."""
 
 
-def table(summary: pd.DataFrame) -> Table:
-    """Return the means for the terminal, a row per policy; below each mean, dimmed, its ratio to the expert's."""
-    policies = summary["policy"].unique()
-    ratios = "; below them, ratios to the expert" if EXPERT in policies and len(policies) > 1 else ""
-    shown = Table("policy", box=SIMPLE_HEAD, caption=f"means over the episodes{ratios}")
-    shown.columns[0].overflow = "fold"
-    for heading in _SHOWN:
-        shown.add_column(heading, justify="right")
+def table(summary: pd.DataFrame, *, width: int = WIDE) -> Table:
+    """Return the table for the terminal, a row per policy: means ± half the 95 % interval; dimmed below, ratios.
+
+    The last column counts the contacts, in which the host hit anything or was hit; either ends an episode. The rest is
+    in the files.
+
+    Args:
+        summary: the `summary` table.
+        width: of the terminal; narrower than `WIDE`, it is shown less.
+    """
+    told = dict(list(_TOLD.items())[: None if width >= WIDE else -_TOLD_IF_WIDE])
+    policies, reference = summary["policy"].unique(), summary["reference"].iloc[0]
     by_metric = summary.set_index(["policy", "metric"])
+    n = by_metric["episodes"].max()
+    compared = reference in policies and len(policies) > 1
+    episodes = f"means over {n} episodes ± 95 % interval" if n > 1 else "one episode, which tells no interval"
+    below = f"; below, ratios to {escape(reference)}" if compared else ""
+    shown = Table(box=SIMPLE_HEAD, caption=episodes + below)
+    shown.add_column("policy", overflow="fold", min_width=14)
+    for heading in (*_COMPARED, *told, "contacts"):
+        shown.add_column(heading, justify="right", no_wrap=True)
     for policy in policies:
         cells = []
-        for metric, form in _SHOWN.values():
-            mean, ratio = by_metric.loc[(policy, metric), ["mean", "ratio_to_expert"]]
-            compared = policy != EXPERT and not np.isnan(ratio)
-            cells.append(f"{mean:{form}}" + (f"\n[dim]{ratio:.2f}[/]" if compared else ""))
-        shown.add_row(escape(policy), *cells)
+        for metric, decimals in _COMPARED.values():
+            row = by_metric.loc[(policy, metric)]
+            cell = _with_interval(row["mean"], row["low"], row["high"], decimals)
+            if compared and policy != reference and np.isfinite(row["ratio"]):
+                cell += f"\n[dim]{_with_interval(row['ratio'], row['ratio_low'], row['ratio_high'], 2)}[/]"
+            cells.append(cell)
+        cells += [f"{by_metric.loc[(policy, metric), 'mean']:.{decimals}f}" for metric, decimals in told.values()]
+        contacts = sum(by_metric.loc[(policy, metric), "mean"] for metric in CONTACTS) * n
+        shown.add_row(escape(policy), *cells, f"{contacts:.0f}")
     return shown
+
+
+def _with_interval(value: float, low: float, high: float, decimals: int) -> str:
+    return f"{value:.{decimals}f}" + (f" ± {(high - low) / 2:.{decimals}f}" if np.isfinite(high) else "")
 
 
 def typed(rows: Iterable[dict[str, Any]] | pd.DataFrame, columns: dict[str, str]) -> pd.DataFrame:
     """Return a table with these columns of these types, its numbers rounded to `DECIMALS`."""
     table = pd.DataFrame(rows, columns=list(columns)).astype(columns).round(DECIMALS)
     return table.replace(-0.0, 0.0)
-
-
-def _finite(values: pd.Series) -> Floats:
-    array = values.to_numpy(dtype=np.float64)
-    return array[np.isfinite(array)]
-
-
-def _mean(values: Floats) -> float:
-    return float(values.mean()) if len(values) else np.nan

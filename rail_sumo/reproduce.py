@@ -1,57 +1,45 @@
 """The paper's experiments: Table 1 and Figures 3 and 4, from many trainings in place of one."""
 
-import itertools
-from collections.abc import Callable, Iterable
+from collections.abc import Iterable, Sequence
+from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pandas as pd
+import pyarrow as pa
 
 from rail_sumo import plot, report
-from rail_sumo.experiment import Experiment
+from rail_sumo.errors import InputError, did_you_mean
+from rail_sumo.experiment import CELL_COLUMNS, SYSTEMS, Experiment
 from rail_sumo.files import whole_file
 from rail_sumo.records import Floats
-from rail_sumo.statistics import interval, iqm, mean_difference, probability_of_improvement, ratio_of_iqms
+from rail_sumo.statistics import probability_of_improvement
 
 TRAJECTORIES = (1, 5, 10, 20, 40)
 PAPER_METRICS = ("speed_kmh", "overtakes", "lane_changes", "longitudinal_reward", "lateral_reward")
+TABLE_METRICS = (*PAPER_METRICS, "refused_decisions", "told_apart", *report.CONTACTS)
 
 PAPER = {
-    ("rail", 2): (70.38, 45.04, 15.01, 2719.38, -122.98),
-    ("rail", 1): (65.00, 40.03, 13.05, 2495.57, -175.6),
-    ("expert", 0): (68.83, 44.48, 14.04, 2642.11, -132.52),
+    "rail-2": (70.38, 45.04, 15.01, 2719.38, -122.98),
+    "rail-1": (65.00, 40.03, 13.05, 2495.57, -175.6),
+    "expert": (68.83, 44.48, 14.04, 2642.11, -132.52),
 }
-"""Table 1 of the paper, by learner and layers, in the order of `PAPER_METRICS`."""
+"""Table 1 of the paper, by system, in the order of `PAPER_METRICS`."""
 
-ROWS = {
-    ("rail", 2): "RAIL, two layers",
-    ("rail", 1): "RAIL, one layer",
-    ("rewarded", 2): "RAIL and the reward, two layers",
-    ("expert", 0): "expert",
-    ("bc", 2): "behaviour cloning, two layers",
-    ("bc", 1): "behaviour cloning, one layer",
-    ("gail", 2): "GAIL",
-    ("dagger", 2): "DAgger",
-    ("rule", 0): "rule driver",
-    ("sumo", 0): "SUMO's driver",
-}
-"""What is set side by side: who drives, and on how many layers; 0 for drivers that do not learn."""
+FIGURES = ("rail-2", "rail-1", "gail-2", "bc-2")
+"""The curves of Figures 3 and 4, each in the mode it was trained in."""
 
-TABLE1 = tuple(system for system in ROWS if system != ("expert", 0))
-"""The rows beside the expert's."""
-
-EXPERT_CELL = (report.EXPERT, 0, 0)
-"""Whom all are set beside, as a part of an experiment's grid."""
-
-FIGURES = (("rail", 2), ("rail", 1), ("bc", 2), ("gail", 2))
-"""The curves of Figures 3 and 4."""
+FEW_SEEDS = 5
+"""With fewer trainings an interval is so wide that it hardly tells anything."""
 
 TABLE_COLUMNS = {
-    "learner": "string",
-    "layers": "int64",
+    "system": "string",
+    "mode": "string",
+    "as_trained": "bool",
+    "trainings": "int64",  # 0 of a driver that does not train
+    "episodes": "int64",
     "metric": "string",
     "mean": "float64",
-    "iqm": "float64",
     "low": "float64",
     "high": "float64",
     "ratio": "float64",
@@ -66,68 +54,119 @@ TABLE_COLUMNS = {
 }
 
 
-def table1(experiment: Experiment) -> pd.DataFrame:
-    """Train and drive all that Table 1 sets side by side, and write `cells`, `table1.csv` and `table1.md` into `out`.
+def chosen(only: str) -> tuple[str, ...]:
+    """Return the systems of a list with commas, in the table's order; all of them for an empty one.
+
+    Raises:
+        InputError: one of them is not known.
+    """
+    wanted = {name.strip() for name in only.split(",") if name.strip()}
+    for name in sorted(wanted - SYSTEMS.keys()):
+        raise InputError(f"--only: system '{name}' not found{did_you_mean(name, SYSTEMS)}")
+    return tuple(name for name in SYSTEMS if name in wanted or not wanted)
+
+
+def table1(experiment: Experiment, systems: Sequence[str] = tuple(SYSTEMS)) -> pd.DataFrame:
+    """Train and drive what Table 1 sets side by side, and write `cells`, `table1.csv` and `table1.md` into `out`.
+
+    Args:
+        experiment: its configuration, folder and size.
+        systems: which of `SYSTEMS`; the expert is always among them.
 
     Returns:
-        A row per learner and metric: `TABLE_COLUMNS`.
+        A row per system, mode and metric: `TABLE_COLUMNS`.
 
     Raises:
         InputError: as in `Experiment.drive`.
     """
-    train = experiment.config.train
-    grid = [(learner, layers, train.trajectories if layers else 0) for learner, layers in TABLE1]
-    table = compare(experiment.drive([*grid, EXPERT_CELL]))
-    with whole_file(experiment.out / "table1.csv") as partial:
+    n_shown = experiment.config.train.trajectories
+    grid = [(name, n_shown if SYSTEMS[name].trains else 0) for name in _with_the_expert(systems)]
+    return _written(experiment.drive(grid), experiment.out)
+
+
+def table1_of(
+    cells: Path, out: Path, systems: Sequence[str] = tuple(SYSTEMS), *, trajectories: int = 40
+) -> pd.DataFrame:
+    """Make the table from cells that an experiment left behind, without driving anything.
+
+    Args:
+        cells: its `cells.parquet`.
+        out: the folder that `table1.csv` and `table1.md` go into.
+        systems: which of them; all that there are by default.
+        trajectories: of learners, those that were shown so many.
+
+    Raises:
+        InputError: the file cannot be read or is another one, or the expert is not in it.
+    """
+    table = read_cells(cells)
+    table = table[table["trajectories"].isin([0, trajectories]) & table["system"].isin(_with_the_expert(systems))]
+    out.mkdir(parents=True, exist_ok=True)
+    return _written(table, out)
+
+
+def read_cells(file: Path) -> pd.DataFrame:
+    """Return the episodes that an experiment left behind, in the table's order.
+
+    Raises:
+        InputError: the file cannot be read or is another one, or the expert is not in it.
+    """
+    try:
+        cells = report.typed(pd.read_parquet(file), CELL_COLUMNS)
+    except (OSError, pa.ArrowException, ValueError, KeyError, TypeError) as error:
+        raise InputError(f"'{file}' is not the cells.parquet of an experiment ({str(error).splitlines()[0]})") from None
+    if report.EXPERT not in set(cells["system"]):
+        raise InputError(f"'{file}' holds no episodes of the expert, which every ratio refers to")
+    rank = {name: number for number, name in enumerate(SYSTEMS)}
+    return cells.sort_values("system", key=lambda names: names.map(rank), kind="stable", ignore_index=True)
+
+
+def _with_the_expert(systems: Sequence[str]) -> list[str]:
+    return [name for name in SYSTEMS if name in systems or name == report.EXPERT]
+
+
+def _written(cells: pd.DataFrame, out: Path) -> pd.DataFrame:
+    table = compare(cells)
+    with whole_file(out / "table1.csv") as partial:
         table.to_csv(partial, index=False)
-    with whole_file(experiment.out / "table1.md") as partial:
-        partial.write_text(_markdown(table, experiment.seeds, train.evaluation_episodes), encoding="utf-8")
+    with whole_file(out / "table1.md") as partial:
+        partial.write_text(_markdown(table, cells["episode"].nunique()), encoding="utf-8")
     return table
 
 
 def compare(cells: pd.DataFrame) -> pd.DataFrame:
-    """Return each learner's figures over its seeds and episodes, beside the expert's on the same traffic.
+    """Return each system's figures over its seeds and episodes, beside the expert's on the same traffic.
 
-    `low` and `high` are the 95 % interval of the interquartile mean over seeds and episodes (of collisions and struck:
-    Wilson's, of how often they happen), `ratio` is that mean over the expert's, `difference` the mean of learner minus
-    expert, episode by episode on the same traffic, `above_expert` the probability that an episode of the learner has a
-    greater value than one of the expert. Ratios and differences of contacts have no interval: a bootstrap of what never
-    happened would be sure that it never will.
+    `low` and `high` are the 95 % interval of the mean (of collisions and struck: Wilson's, of how often they happen),
+    `ratio` is that mean over the expert's, `difference` the mean of system minus expert, each with its interval; see
+    `statistics`. `above_expert` is the probability that an episode of the system has a greater value than one of the
+    expert.
     """
-    expert = cells[cells["learner"] == report.EXPERT]
+    expert = cells[cells["system"] == report.EXPERT]
+    cells = cells[cells["training_seed"].isin(expert["training_seed"])]
     rows: list[dict[str, Any]] = []
-    for (learner, layers), driven in cells.groupby(["learner", "layers"], sort=False):
-        for metric in (*PAPER_METRICS, *report.CONTACTS):
-            ours, theirs = scores(driven, metric), scores(expert, metric)
-            low, high = report.metric_interval(metric, ours)
-            ratio, ratio_low, ratio_high = _against(metric, ratio_of_iqms, ours, theirs)
-            difference, difference_low, difference_high = _against(metric, mean_difference, ours, theirs)
-            paper, paper_expert = _paper(learner, layers, metric), _paper(report.EXPERT, 0, metric)
-            rows.append({
-                "learner": learner,
-                "layers": layers,
-                "metric": metric,
-                "mean": ours.mean(),
-                "iqm": iqm(ours),
-                "low": low,
-                "high": high,
-                "ratio": ratio,
-                "ratio_low": ratio_low,
-                "ratio_high": ratio_high,
-                "difference": difference,
-                "difference_low": difference_low,
-                "difference_high": difference_high,
-                "above_expert": probability_of_improvement(ours, theirs),
-                "paper": paper,
-                "paper_ratio": paper / paper_expert,
-            })  # fmt: skip
+    for (system, mode), driven in cells.groupby(["system", "mode"], sort=False):
+        beside = expert[expert["training_seed"].isin(driven["training_seed"])]
+        for metric in TABLE_METRICS:
+            ours, theirs = scores(driven, metric), scores(beside, metric)
+            paper, paper_expert = _paper(system, metric), _paper(report.EXPERT, metric)
+            told = {"system": system, "mode": mode, "as_trained": driven["as_trained"].all(), "metric": metric}
+            rows.append(
+                {**told, "trainings": len(ours) if SYSTEMS[system].trains else 0, "episodes": ours.size}
+                | report.figures(metric, ours, theirs, trained=SYSTEMS[system].trains)
+                | {"above_expert": probability_of_improvement(ours, theirs)}
+                | {"paper": paper, "paper_ratio": paper / paper_expert}
+            )
     return report.typed(rows, TABLE_COLUMNS)
 
 
-def figures(experiment: Experiment) -> pd.DataFrame:
-    """Train and drive all that Figures 3 and 4 compare, and write `cells` and the five figures into `out`.
+def figures(experiment: Experiment, systems: Sequence[str] = FIGURES) -> pd.DataFrame:
+    """Train and drive what Figures 3 and 4 compare, and write `cells` and the figures into `out`.
 
     Cells that Table 1 has too are taken over from there.
+
+    Args:
+        experiment: its configuration, folder and size.
+        systems: a curve for each that learns.
 
     Returns:
         The cells' episodes: `experiment.CELL_COLUMNS`.
@@ -136,46 +175,59 @@ def figures(experiment: Experiment) -> pd.DataFrame:
         InputError: matplotlib is not installed; else as in `Experiment.drive`.
     """
     plot.require_matplotlib()
-    grid = [(*system, trajectories) for system, trajectories in itertools.product(FIGURES, TRAJECTORIES)]
-    cells = experiment.drive([*grid, EXPERT_CELL])
-    expert = cells[cells["learner"] == report.EXPERT]
-    for metric in PAPER_METRICS:
-        reference = scores(expert, metric)
-        curves = {
-            ROWS[system]: np.array([
-                _against(metric, ratio_of_iqms, scores(_of(cells, *system, n), metric), reference)
-                for n in TRAJECTORIES
-            ])
-            for system in FIGURES
-        }  # fmt: skip
-        figure = plot.against_trajectories(TRAJECTORIES, curves, _LABELS[metric])
-        for suffix in (".png", ".svg"):
-            name = metric.removesuffix("_kmh").removesuffix("_reward")
-            plot.save(figure, experiment.out / f"figure_{name}{suffix}", overwrite=True)
+    systems = _learners(systems)
+    grid = [(name, trajectories) for name in systems for trajectories in TRAJECTORIES]
+    cells = experiment.drive([*grid, (report.EXPERT, 0)])
+    _draw(cells, systems, experiment.out)
     return cells
 
 
-def _of(cells: pd.DataFrame, learner: str, layers: int, trajectories: int) -> pd.DataFrame:
-    same = (cells["learner"] == learner) & (cells["layers"] == layers) & (cells["trajectories"] == trajectories)
-    return cells[same]
+def figures_of(cells: Path, out: Path, systems: Sequence[str] = FIGURES) -> None:
+    """Draw the figures of cells that an experiment left behind, into the folder `out`, without driving anything.
+
+    Raises:
+        InputError: the file cannot be read or is another one, or matplotlib is not installed.
+    """
+    plot.require_matplotlib()
+    table = read_cells(cells)
+    out.mkdir(parents=True, exist_ok=True)
+    _draw(table, _learners(systems), out)
+
+
+def _learners(systems: Sequence[str]) -> list[str]:
+    learners = [name for name in systems if SYSTEMS[name].trains]
+    if not learners:
+        raise InputError(f"--only {','.join(systems)}: the figures are of learners, and none of these learns")
+    return learners
+
+
+def _draw(cells: pd.DataFrame, systems: Sequence[str], out: Path) -> None:
+    """Write the figures, as PNG and SVG."""
+    cells = cells[cells["as_trained"] & cells["system"].isin([*systems, report.EXPERT])]
+    by_shown = {n: compare(cells[cells["trajectories"].isin([0, n])]) for n in TRAJECTORIES}
+    for metric in PAPER_METRICS:
+        rows = pd.concat([table[table["metric"] == metric].assign(shown=n) for n, table in by_shown.items()])
+        curves = {
+            SYSTEMS[system].label: of_system.set_index("shown")[["ratio", "ratio_low", "ratio_high"]]
+            .reindex(TRAJECTORIES)
+            .to_numpy()
+            for system in systems
+            if len(of_system := rows[rows["system"] == system])
+        }
+        figure = plot.against_trajectories(TRAJECTORIES, curves, _LABELS[metric])
+        for suffix in (".png", ".svg"):
+            name = metric.removesuffix("_kmh").removesuffix("_reward")
+            plot.save(figure, out / f"figure_{name}{suffix}", overwrite=True)
 
 
 def scores(driven: pd.DataFrame, metric: str) -> Floats:
-    """Return a metric as `statistics` takes it, shape (n_seeds, n_episodes)."""
+    """Return a metric as `statistics.units` takes it, shape (n_seeds, n_episodes)."""
     return driven.pivot(index="training_seed", columns="episode", values=metric).to_numpy(dtype=np.float64)
 
 
-def _paper(learner: str, layers: int, metric: str) -> float:
+def _paper(system: str, metric: str) -> float:
     """Return the paper's mean; NaN where it tells none."""
-    return dict(zip(PAPER_METRICS, PAPER.get((learner, layers), ()), strict=False)).get(metric, np.nan)
-
-
-def _against(
-    metric: str, compared: Callable[..., Floats], scores: Floats, reference: Floats
-) -> tuple[float, float, float]:
-    """Return how scores compare with the expert's, and the 95 % interval; NaN of contacts."""
-    sure = (np.nan, np.nan) if metric in report.CONTACTS else interval(compared, scores, reference)
-    return float(compared(scores, reference)), *sure
+    return dict(zip(PAPER_METRICS, PAPER.get(system, ()), strict=False)).get(metric, np.nan)
 
 
 _LABELS = {
@@ -187,29 +239,51 @@ _LABELS = {
 }
 
 
-def _markdown(table: pd.DataFrame, n_seeds: int, n_episodes: int) -> str:
-    """Return means, ratios of interquartile means to the expert's with intervals, and the paper's beside them."""
-    lines = [_line("", [*_LABELS.values(), "contacts"]), "| --- |" + " ---: |" * (len(PAPER_METRICS) + 1)]
-    for (learner, layers), rows in table.groupby(["learner", "layers"], sort=False):
-        system, figures = (learner, layers), rows.set_index("metric")
+def _markdown(table: pd.DataFrame, n_episodes: int) -> str:
+    """Return means, ratios of means to the expert's with intervals, and the paper's beside them."""
+    headings = [*_LABELS.values(), "refused decisions", "told apart", "contacts"]
+    lines = [_line("", headings), "| --- |" + " ---: |" * len(headings)]
+    for (system, mode), rows in table.groupby(["system", "mode"], sort=False):
+        figures, trains = rows.set_index("metric"), SYSTEMS[system].trains
         by_metric = figures.loc[list(PAPER_METRICS)]
-        contacts = round(figures.loc[list(report.CONTACTS), "mean"].sum() * n_seeds * n_episodes)
-        lines.append(_line(ROWS[system], [*map("{:.1f}".format, by_metric["mean"]), str(contacts)]))
+        means = [*by_metric["mean"].map("{:.1f}".format), f"{figures.loc['refused_decisions', 'mean']:.1f}"]
+        contacts = round((figures["mean"] * figures["episodes"])[list(report.CONTACTS)].sum())
+        apart = _ratio(*figures.loc["told_apart", ["mean", "low", "high"]])
+        trained = "" if rows["as_trained"].all() or not trains else ", not as trained"
+        lines.append(
+            _line(SYSTEMS[system].label + (f" ({mode}{trained})" if mode else ""), [*means, apart, str(contacts)])
+        )
         ratios = [_ratio(*row) for row in by_metric[["ratio", "ratio_low", "ratio_high"]].to_numpy()]
-        if learner != report.EXPERT:
-            lines.append(_line("&emsp;of the expert's", [*ratios, ""]))
-        if system in PAPER:
-            lines.append(_line("&emsp;in the paper", [*map("{:.1f}".format, by_metric["paper"]), ""]))
-        if system in PAPER and learner != report.EXPERT:
-            shares = map("{:.3f}".format, by_metric["paper_ratio"])
-            lines.append(_line("&emsp;in the paper, of the expert's", [*shares, ""]))
-    lines += [
-        "",
-        f"Means of {n_seeds} x {n_episodes} episodes (training seeds x held-out traffic); below them, ratios of "
-        f"interquartile means to the expert's on the same traffic, with 95 % intervals. Contacts: how often the host "
-        f"hit or was hit, in all episodes. The paper's are means of 16 episodes of one training.",
-    ]
-    return "\n".join(lines) + "\n"
+        if system != report.EXPERT:
+            lines.append(_line("&emsp;of the expert's", [*ratios, "", "", ""]))
+        if system in PAPER and rows["as_trained"].all():
+            lines.append(_line("&emsp;in the paper", [*by_metric["paper"].map("{:.1f}".format), "", "", ""]))
+            if system != report.EXPERT:
+                shares = by_metric["paper_ratio"].map("{:.3f}".format)
+                lines.append(_line("&emsp;in the paper, of the expert's", [*shares, "", "", ""]))
+    return "\n".join([*lines, "", *_notes(table, n_episodes)]) + "\n"
+
+
+_NOTE = (
+    "Trainings of each learner: {trainings}; episodes of each: {n_episodes}, on held-out traffic. Means; below them, "
+    "ratios of means to the expert's on the same traffic, with 95 % intervals: over trainings, and over episodes of "
+    "drivers that do not train. Told apart: how well a fresh classifier tells the decisions from the expert's, 0.5 "
+    "being not at all; the expert's own is from its decisions on other traffic. Contacts: in how many of the episodes "
+    "the host hit anything or was hit. The paper's are means of 16 episodes of one training."
+)
+
+
+def _notes(table: pd.DataFrame, n_episodes: int) -> list[str]:
+    seeds = table.loc[table["trainings"] > 0, "trainings"]
+    fewest, most = (seeds.min(), seeds.max()) if len(seeds) else (0, 0)
+    trainings = f"{fewest}" if fewest == most else f"{fewest} to {most}"
+    notes = [_NOTE.format(trainings=trainings, n_episodes=n_episodes)]
+    if 0 < fewest < FEW_SEEDS:
+        notes += [
+            "",
+            f"**Fewer than {FEW_SEEDS} trainings**: the intervals hold, but hardly tell anything; train more.",
+        ]
+    return notes
 
 
 def _line(head: str, cells: Iterable[str]) -> str:
@@ -217,4 +291,6 @@ def _line(head: str, cells: Iterable[str]) -> str:
 
 
 def _ratio(ratio: float, low: float, high: float) -> str:
+    if not np.isfinite(ratio):
+        return ""
     return f"{ratio:.3f}" + (f" ({low:.3f} to {high:.3f})" if np.isfinite([low, high]).all() else "")

@@ -60,7 +60,7 @@ def drive_advised(task: Task) -> tuple[Trajectory, NDArray[np.int64]]:
 
 
 def _drive(task: Task, driver: drivers.Driver) -> Trajectory:
-    env = HighwayEnv(task.config, hands_off=task.driver == "sumo", outputs=task.outputs)
+    env = HighwayEnv(task.config, hands_off=drivers.hands_off(task.driver), outputs=task.outputs)
     try:
         observation, _ = env.reset(seed=task.seed)
         while not env.is_over:
@@ -74,8 +74,7 @@ def _driver(task: Task) -> drivers.Driver:
     if isinstance(task.driver, str):
         return drivers.by_name(task.driver, task.config, task.seed)
     if isinstance(task.driver, PolicyParameters):
-        policy = task.driver.policy()
-        return drivers.Sampling(policy, task.seed) if task.driver.samples else drivers.Learned(policy)
+        return drivers.Learned(task.driver, task.seed)
     return task.driver
 
 

@@ -3,6 +3,7 @@
 import itertools
 from collections.abc import Iterable, Mapping
 from contextlib import suppress
+from dataclasses import replace
 from pathlib import Path
 from urllib.parse import quote
 
@@ -46,26 +47,32 @@ def world(policies: Iterable[str], overrides: Iterable[str] = ()) -> Config:
     Raises:
         InputError: a policy is neither, or what `config.load` raises.
     """
-    folders = [Path(policy) for policy in policies if policy not in drivers.NAMES]
+    folders = [Path(policy) for policy in policies if not drivers.is_name(policy)]
     for folder in folders:
         _require_folder(folder)
     return config.load(folders[0] / CONFIG if folders else None, overrides)
 
 
-def find_driver(policy: str, world: Config) -> Who:
+def find_driver(policy: str, world: Config, mode: str = "default") -> Who:
     """Return who drives under the name: a driver of ours, an expert's folder, or what a run directory learned.
+
+    Args:
+        policy: the name.
+        world: where it is to drive.
+        mode: how what a run directory learned acts, "argmax" or "sampled"; by default as the run says.
 
     Raises:
         InputError: it is neither, damaged, or learned on another observation than the world's.
     """
     if policy == report.EXPERT:  # read once here, not by a worker in every episode
         return drivers.load_expert(world)
-    if policy in drivers.NAMES:
+    if drivers.is_name(policy):
         return policy
     if (Path(policy) / assets.MANIFEST).is_file():
         return drivers.load_expert(world, Path(policy))
     _require_folder(Path(policy))
-    return RunDirectory(Path(policy)).policy(world)
+    learned = RunDirectory(Path(policy)).policy(world)
+    return learned if mode == "default" else replace(learned, samples=mode == "sampled")
 
 
 def evaluate(
@@ -77,6 +84,7 @@ def evaluate(
     workers: WorkerCount = 1,
     observer: Observer = SILENT,
     fcd: Path | None = None,
+    reference: str = report.EXPERT,
 ) -> Tables:
     """Drive every policy through the same held-out episodes and return the tables.
 
@@ -89,6 +97,7 @@ def evaluate(
         observer: called after every episode.
         fcd: a new folder for SUMO's floating-car data: the host, and who is within reach of its LIDAR, on every step.
             `pandas.read_parquet` reads the folder as one table, to which it adds `policy` and `episode`.
+        reference: the policy that the summary's ratios and differences refer to.
 
     Raises:
         InputError: fewer than one episode, a network or demand that cannot be driven, or floating-car data that cannot
@@ -115,7 +124,7 @@ def evaluate(
     if fcd:
         _require_whole(fcd)
     table = report.episodes(rows)
-    return table, report.summary(table)
+    return table, report.summary(table, reference)
 
 
 def record(
@@ -148,9 +157,9 @@ def demonstrate(
     Raises:
         InputError: the file `out` exists and is not to be overwritten, or cannot be written; bad input of any kind.
     """
-    if driver == "sumo":
+    if drivers.hands_off(driver):
         raise InputError(
-            "driver 'sumo' takes no decisions that could be recorded; take rule, expert or a run directory"
+            f"driver '{driver}' takes no decisions that could be recorded; take rule, expert or a run directory"
         )
     check_file(out, overwrite=overwrite)
     require_drivable(world, episodes)
@@ -170,7 +179,7 @@ def train(
     resume: bool = False,
     observer: Observer = SILENT,
 ) -> Tables:
-    """Learn a driver, and set it beside its clone, if it has one, and the expert on held-out traffic.
+    """Learn a driver, and compare it on held-out traffic with the expert and, in either mode, with its clone.
 
     The run directory `out` appears once there is something to start from. From then on training may be interrupted at
     any moment, by kill -9 too, and with `resume` goes on to the very same policy, or to more iterations.
@@ -187,7 +196,7 @@ def train(
     run = training.learn(config, out, seed=seed, workers=workers, resume=resume, observer=observer)
     policies: dict[str, Who] = {config.train.learner: run.policy(config)}
     if training.learner_of(config).improves_its_clone:
-        policies["clone"] = run.clone
+        policies |= {f"clone, {mode}": replace(run.clone, samples=mode == "sampled") for mode in ("argmax", "sampled")}
     policies |= expert
     episodes = config.train.evaluation_episodes
     tables = evaluate(policies, config, episodes=episodes, seed=seed, workers=workers, observer=observer)

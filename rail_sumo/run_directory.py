@@ -212,7 +212,8 @@ def _csv(progress: tuple[Row, ...]) -> bytes:
 
 def _driver_bytes(driver: PolicyParameters, about: dict[str, Any], memory: Tensors | None = None) -> bytes:
     tensors = {"theta": driver.theta, "whitening_mean": driver.whitening.mean, "whitening_std": driver.whitening.std}
-    return _bytes(tensors | (memory or {}), about | {"hidden": driver.shape.hidden})
+    acts = {"hidden": driver.shape.hidden, "samples": driver.samples, "masked": driver.masked}
+    return _bytes(tensors | (memory or {}), about | acts)
 
 
 def _read_driver(path: Path) -> tuple[PolicyParameters, Tensors, dict[str, Any]]:
@@ -221,7 +222,8 @@ def _read_driver(path: Path) -> tuple[PolicyParameters, Tensors, dict[str, Any]]
     try:
         shape = Shape(len(about["features"]), about["hidden"])
         whitening = Whitening(tensors.pop("whitening_mean"), tensors.pop("whitening_std"))
-        driver = PolicyParameters(tensors.pop("theta"), shape, whitening)
+        acts = {"samples": about["samples"], "masked": about["masked"]}
+        driver = PolicyParameters(tensors.pop("theta"), shape, whitening, **acts)
         driver.policy()
     except (KeyError, TypeError, ValueError) as error:
         raise _damaged(path, error) from None

@@ -2,7 +2,7 @@
 
 import itertools
 import time
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
@@ -11,8 +11,9 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
-from rail_sumo import assets, drivers, metrics, rollout
+from rail_sumo import assets, drivers, metrics, registry, rollout
 from rail_sumo.config import Config
+from rail_sumo.errors import InputError
 from rail_sumo.highway import demand
 from rail_sumo.highway.observation import feature_names
 from rail_sumo.highway.reward import total_reward
@@ -24,7 +25,7 @@ from rail_sumo.run_directory import JUDGES, Checkpoint, Row, RunDirectory, Tenso
 
 if TYPE_CHECKING:  # torch takes seconds to import, and not every command trains
     from rail_sumo.imitation import rail
-    from rail_sumo.imitation.discriminator import Judge, JudgeLoss
+    from rail_sumo.imitation.discriminator import Discriminator, Fit
 
 PPO, MOMENTS = "ppo.", "moments."
 """What the names of PPO's tensors, and of the observations' moments, begin with in a checkpoint."""
@@ -50,7 +51,7 @@ def learn(
     Raises:
         InputError: as in `run.train`.
     """
-    config = config.resolved()
+    config = resolved(config)
     run = RunDirectory(out) if resume else None
     if run is None:
         require_new(out)
@@ -90,18 +91,24 @@ class Practice:
         """Drive theta plus and minus each perturbation, both on the same traffic unless told otherwise."""
         n = len(perturbations)
         thetas = [*(learner.theta + perturbations), *(learner.theta - perturbations)]
-        traffic = [*range(n), *range(n)] if shared_traffic else range(2 * n)
-        tasks = [
-            self._task(replace(learner, theta=theta), iteration, number)
-            for theta, number in zip(thetas, traffic, strict=True)
-        ]
-        driven = list(self._pool.map(rollout.drive, tasks))
+        driven = self.drive(
+            [replace(learner, theta=theta) for theta in thetas],
+            iteration,
+            traffic=[*range(n), *range(n)] if shared_traffic else None,
+        )
         return driven[:n], driven[n:]
+
+    def drive(
+        self, policies: Sequence[PolicyParameters], iteration: int, *, traffic: Sequence[int] | None = None
+    ) -> list[Trajectory]:
+        """Drive one rollout of each policy, each on traffic of its own, or on the traffic of these numbers."""
+        numbers = range(len(policies)) if traffic is None else traffic
+        tasks = [self._task(policy, iteration, number) for policy, number in zip(policies, numbers, strict=True)]
+        return list(self._pool.map(rollout.drive, tasks))
 
     def sampled(self, learner: PolicyParameters, n_rollouts: int, iteration: int) -> list[Trajectory]:
         """Drive by actions sampled with the policy's probabilities."""
-        sampling = replace(learner, samples=True)
-        return list(self._pool.map(rollout.drive, [self._task(sampling, iteration, i) for i in range(n_rollouts)]))
+        return self.drive([replace(learner, samples=True)] * n_rollouts, iteration)
 
     def advised(
         self, learner: PolicyParameters, adviser: drivers.Expert, n_rollouts: int, iteration: int
@@ -130,9 +137,9 @@ def _rail(practice: Practice, checkpoint: Checkpoint, demonstrations: Demonstrat
         seed=run.seed,
         first_iteration=checkpoint.iteration + 1,
     ):
-        figures = _verdict(state.judge_loss) | {"mean_return": state.mean_return, "step_norm": state.step_norm}
+        figures = figures_of(state.judge_fit) | {"mean_return": state.mean_return, "step_norm": state.step_norm}
         learned = replace(start, theta=state.theta)
-        yield Iteration(learned, _named(JUDGES, judge.state()), [*state.plus, *state.minus], figures)
+        yield Iteration(learned, memory_of(judge), [*state.plus, *state.minus], figures)
 
 
 def _gail(practice: Practice, checkpoint: Checkpoint, demonstrations: Demonstrations) -> Iterator[Iteration]:
@@ -159,8 +166,8 @@ def _gail(practice: Practice, checkpoint: Checkpoint, demonstrations: Demonstrat
         first_iteration=checkpoint.iteration + 1,
     ):
         mean_return = float(judge.returns(state.driven).mean())
-        figures = _verdict(state.judge_loss) | {"mean_return": mean_return, "step_norm": state.step_norm}
-        memory = _named(JUDGES, judge.state()) | _named(PPO, ppo.state())
+        figures = figures_of(state.judge_fit) | {"mean_return": mean_return, "step_norm": state.step_norm}
+        memory = memory_of(judge) | _named(PPO, ppo.state())
         yield Iteration(replace(start, theta=state.theta), memory, state.driven, figures)
 
 
@@ -172,7 +179,9 @@ def _dagger(practice: Practice, checkpoint: Checkpoint, demonstrations: Demonstr
     for state in dagger.train(
         start.theta,
         Demonstrations(**checkpoint.memory) if checkpoint.memory else demonstrations,
-        fit=lambda labelled: bc.clone(labelled, start.shape, start.whitening, run.config.cloning, run.seed),
+        fit=lambda labelled: bc.clone(
+            labelled, start.shape, start.whitening, run.config.cloning, run.seed, masked=start.masked
+        ),
         advise=lambda theta, number: practice.advised(
             replace(start, theta=theta), expert, run.config.dagger.rollouts, number
         ),
@@ -215,6 +224,10 @@ class Learner:
 
     iterate: Callable[[Practice, Checkpoint, Demonstrations], Iterator[Iteration]]
     """Goes on from a checkpoint, without end."""
+    iterations: int
+    """How many there are unless `train.iterations` tells; 0 if there can be none."""
+    samples: bool = True
+    """Whether its policy acts by sampling unless `policy.mode` tells; else by its most probable action."""
     reads_demonstrations: bool = True
     """Whether it is shown any, and starts from their clone."""
     improves_its_clone: bool = True
@@ -223,18 +236,38 @@ class Learner:
 
 
 LEARNERS = {
-    "rail": Learner(_rail),
-    "gail": Learner(_gail),
-    "dagger": Learner(_dagger, asks_the_expert=True),
-    "bc": Learner(_cloning, improves_its_clone=False),
-    "ars": Learner(_ars, reads_demonstrations=False, improves_its_clone=False),
+    "rail": Learner(_rail, iterations=160, samples=False),
+    "gail": Learner(_gail, iterations=160),
+    "dagger": Learner(_dagger, iterations=20, asks_the_expert=True),
+    "bc": Learner(_cloning, iterations=0, improves_its_clone=False),
+    "ars": Learner(_ars, iterations=160, samples=False, reads_demonstrations=False, improves_its_clone=False),
 }
 """By `train.learner`."""
 
 
 def learner_of(config: Config) -> Learner:
-    """Return the configuration's learner."""
-    return LEARNERS[config.train.learner]
+    """Return the configuration's learner.
+
+    Raises:
+        InputError: there is none of that name.
+    """
+    return registry.find("learner", config.train.learner, LEARNERS)
+
+
+def resolved(config: Config) -> Config:
+    """Return the configuration with what its learner's defaults stand for written out: iterations and mode.
+
+    Raises:
+        InputError: there is no such learner, or it has no iterations and some are wanted.
+    """
+    learner = learner_of(config)
+    iterations, mode = config.train.iterations, config.policy.mode
+    if not learner.iterations and iterations not in ("default", 0):
+        raise InputError(f"learner '{config.train.learner}' has no iterations, got {iterations}; leave them out")
+    return config.changed(
+        train={"iterations": learner.iterations if iterations == "default" else iterations},
+        policy={"mode": ("sampled" if learner.samples else "argmax") if mode == "default" else mode},
+    )
 
 
 def _start(config: Config, demonstrations: Demonstrations, seed: int) -> PolicyParameters:
@@ -246,21 +279,28 @@ def _start(config: Config, demonstrations: Demonstrations, seed: int) -> PolicyP
     cloning = config.cloning if learner_of(config).reads_demonstrations else untrained
     n_features = len(feature_names(config.lidar, config.observation))
     shape = Shape(n_features, config.policy.hidden if config.policy.layers == 2 else None)
-    return PolicyParameters(bc.clone(demonstrations, shape, whitening, cloning, seed), shape, whitening)
+    masked, samples = config.policy.masked, config.policy.mode == "sampled"
+    theta = bc.clone(demonstrations, shape, whitening, cloning, seed, masked=masked)
+    return PolicyParameters(theta, shape, whitening, samples, masked)
 
 
-def judge_of(run: RunDirectory) -> "Judge":
+def judge_of(run: RunDirectory) -> "Discriminator":
     """Return a run's judge as it stands after the run's last iteration."""
-    from rail_sumo.imitation.discriminator import Judge
+    from rail_sumo.imitation.discriminator import Discriminator
 
-    judge = Judge(run.clone.whitening, run.config.judge, run.seed, horizon_decisions(run.config))
+    judge = Discriminator(run.clone.whitening, run.config.judge, run.seed, horizon_decisions(run.config))
     memory = run.checkpoint().memory
     if memory:
         judge.load_state(_part(JUDGES, memory))
     return judge
 
 
-def judge_with_reward(judge: "Judge", config: Config) -> "rail.Judge":
+def memory_of(judge: "Discriminator") -> Tensors:
+    """Return what `judge_of` needs to go on with a judge: a part of an iteration's memory."""
+    return _named(JUDGES, judge.state())
+
+
+def judge_with_reward(judge: "Discriminator", config: Config) -> "rail.Judge":
     """Return what scores RAIL's rollouts: the judge, with the environment's reward added if that has a weight."""
     from rail_sumo.imitation.rewarded import Rewarded
 
@@ -279,11 +319,12 @@ def horizon_decisions(config: Config) -> int:
     return round(config.train.horizon_s / config.episode.decision_period_s)
 
 
-def _verdict(loss: "JudgeLoss") -> dict[str, float]:
+def figures_of(fit: "Fit") -> dict[str, float]:
+    """Return what a judge's fit came to, by the columns of `progress.csv`."""
     return {
-        "judge_loss": loss.loss,
-        "judge_expert_mean": loss.expert_mean,
-        "judge_learner_mean": loss.learner_mean,
+        "judge_loss": fit.loss,
+        "judge_expert_mean": fit.expert_mean,
+        "judge_learner_mean": fit.learner_mean,
     }
 
 

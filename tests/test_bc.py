@@ -40,6 +40,22 @@ def test_without_anything_to_see_it_learns_how_often_each_action_was_taken():
     assert np.exp(bias) / np.exp(bias).sum() == pytest.approx(counts / 100, abs=1e-3)
 
 
+def test_masked_it_learns_how_often_each_action_was_taken_where_it_was_allowed():
+    # LEFT was taken in half of the decisions in which it was open: a tenth of all.
+    open_left = np.arange(100) < 20
+    actions = np.where(np.arange(100) < 10, 3, 0)
+    allowed = np.column_stack([np.ones((100, 3), np.bool_), open_left, np.zeros(100, np.bool_)])
+    blind = Demonstrations(np.ones((100, 1)), actions, np.zeros(100, dtype=np.int64), allowed)
+    cloning = Cloning(epochs=800, batch_size=100, learning_rate=0.05, weight_decay=0.0)
+    odds = {}
+    for masked in (False, True):
+        theta = bc.clone(blind, Shape(1, None), Whitening.of(blind.observations), cloning, seed=0, masked=masked)
+        bias = unflatten(theta, Shape(1, None))[0][:, -1]
+        odds[masked] = np.exp(bias[3] - bias[0])
+    assert odds[True] == pytest.approx(1.0, rel=0.02)
+    assert odds[False] == pytest.approx(10 / 90, rel=0.02)
+
+
 def test_two_layers_learn_what_one_cannot():
     demonstrations = quadrants(np.random.default_rng(0))
     cloning = Cloning(epochs=60, learning_rate=0.01)

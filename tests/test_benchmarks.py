@@ -85,41 +85,51 @@ def test_a_learner_has_got_there_when_two_looks_in_a_row_show_it(speeds, seconds
     assert efficiency.got_there(curve(*speeds), 0.95)["seconds"] == seconds
 
 
-def cells(trajectories=40, seeds=2, **speeds):
+def cells(system, speed, mode="argmax", *, trajectories=40, seeds=2):
     """Seeds of two episodes each; in every one three lane changes, and one that is taken back."""
     rows = []
-    for name, speed in speeds.items():
-        learner, _, layers = name.partition("_")
-        for seed, episode in itertools.product(range(seeds), range(2)):
-            rows.append({
-                "learner": learner, "layers": int(layers), "trajectories": trajectories, "training_seed": seed,
-                "episode": episode, "speed_kmh": speed + seed + 0.1 * episode, "overtakes": 40, "lane_changes": 3,
-                "aborted_lane_changes": 1, "longitudinal_reward": 3000.0, "lateral_reward": -30.0,
-                "collisions": 0, "struck": 0,
-            })  # fmt: skip
+    for seed, episode in itertools.product(range(seeds), range(2)):
+        rows.append({
+            "system": system, "mode": mode, "as_trained": True, "trajectories": trajectories, "training_seed": seed,
+            "episode": episode, "speed_kmh": speed + seed + 0.1 * episode, "overtakes": 40, "lane_changes": 3,
+            "aborted_lane_changes": 1, "longitudinal_reward": 3000.0, "lateral_reward": -30.0,
+            "refused_decisions": 2, "told_apart": 0.5 + 0.1 * seed, "collisions": 0, "struck": 0,
+        })  # fmt: skip
     return pd.DataFrame(rows)
 
 
-def test_a_learner_is_set_beside_the_expert_on_its_own_seeds_for_each_number_of_trajectories():
+def test_a_system_is_compared_with_the_expert_on_its_own_seeds_for_each_number_of_trajectories():
     found = claims.ratios(
-        pd.concat([cells(expert_0=60.0, trajectories=0), cells(bc_2=60.0), cells(bc_2=48.0, trajectories=5, seeds=1)])
+        pd.concat(
+            [
+                cells("expert", 60.0, "", trajectories=0),
+                cells("bc-2", 63.0),
+                cells("bc-2", 48.0, trajectories=5, seeds=1),
+            ]
+        )
     ).set_index("shown")
-    assert found.loc[40, "speed_kmh"] == "1.000 (1.000 to 1.000)"  # the very same, episode by episode
+    # Means of 63.05 and 64.05 beside 60.05 and 61.05: the ratio is 1.0496, either is 0.0004 off it, and t is 12.7.
+    assert found.loc[40, "speed_kmh"] == "1.050 (1.044 to 1.055)"
     assert found.loc[5, "speed_kmh"].startswith("0.800 ")  # 48.05 of 60.05; the other seed's 61.05 would make it 0.794
+    assert found.loc[40, "told apart"].startswith("0.55 ")
     assert found["seeds"].to_dict() == {40: 2, 5: 1}
-    assert len(found) == 2  # nobody is set beside itself
+    assert len(found) == 2  # the expert is not compared with itself
 
 
-def test_learners_are_set_beside_one_another_on_the_same_traffic():
-    found = claims.differences(cells(rail_2=72.0, bc_2=69.0, rail_1=70.0))
+def test_systems_are_compared_with_one_another_training_by_training():
+    clone = cells("bc-2", 69.0)
+    clone["speed_kmh"] += 0.2 * clone["training_seed"]
+    found = claims.differences(pd.concat([cells("rail-2", 72.0), clone, cells("rail-1", 70.0)]))
     speeds = found[found["metric"] == "speed_kmh"].set_index(["one", "minus"])[["difference", "low", "high"]]
-    assert speeds.loc[("RAIL, two layers", "behaviour cloning, two layers")].tolist() == pytest.approx([3.0] * 3)
-    assert speeds.loc[("RAIL, one layer", "RAIL, two layers")].tolist() == pytest.approx([-2.0] * 3)
-    assert len(speeds) == 2  # of whom there is nothing there is no row
+    # 3.0 and 2.8: 2.9, with a standard error of 0.1 and Student's t of 12.706.
+    clones = speeds.loc[("rail-2 argmax", "bc-2 argmax")]
+    assert clones.tolist() == pytest.approx([2.9, 2.9 - 1.2706, 2.9 + 1.2706], abs=1e-3)
+    assert speeds.loc[("rail-1 argmax", "rail-2 argmax"), "difference"] == pytest.approx(-2.0)
+    assert len(speeds) == 2  # of those that are not there, there is no row
 
 
 def test_what_lane_changes_cost_and_how_many_are_taken_back():
-    found = claims.lane_changing(cells(rail_2=72.0)).loc[("rail", 2)]
+    found = claims.lane_changing(cells("rail-2", 72.0)).loc[("rail-2", "argmax")]
     assert found.tolist() == [0.25, -10.0, 0, 4]
 
 

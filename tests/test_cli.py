@@ -58,8 +58,8 @@ DRIVERS = "(available: expert, keep, random, rule, sumo)"
 
 BAD = {
     "train none.toml": "cannot read configuration 'none.toml': No such file or directory (current folder: ",
-    "train --set train.learner=sac": "configuration: train.learner: Input should be 'rail', 'gail', 'bc', 'dagger' or ",
-    "train --set train.learner=bc --set train.iterations=3": "configuration: train: learner 'bc' has no iterations, ",
+    "train --set train.learner=sac": "learner 'sac' not found (available: ars, bc, dagger, gail, rail); one ",
+    "train --set train.learner=bc --set train.iterations=3": "learner 'bc' has no iterations, got 3; leave them out",
     "reproduce table1 --seeds 0": "--seeds must be at least 1; got 0",
     "reproduce table1 --out file/out": "cannot write to 'file/out': '",
     "train no.toml": "configuration 'no.toml' is not valid TOML: ",

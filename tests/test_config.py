@@ -109,7 +109,7 @@ def test_explained_it_is_the_same(given_config):
 def test_a_section_and_a_key_are_explained_just_before_they_stand():
     lines = config.explained(Config()).splitlines()
     assert max(map(len, lines)) <= 120
-    assert lines[lines.index("[judge]") - 1] == "# The discriminator and its least-squares training."
+    assert lines[lines.index("[judge]") - 1] == "# The discriminator and its training."
     assert lines[lines.index("n_directions = 16") - 1].startswith("# N: how many perturbations an iteration tries")
     assert lines[lines.index("reward_weight = 0.0") - 2].startswith("# What a unit of the environment's reward per ")
     assert lines[lines.index("reward_weight = 0.0") - 1] == "# alone."
@@ -182,7 +182,7 @@ SECTIONS = (
     "adas, ars, cloning, dagger, episode, expert, gail, judge, lidar, network, observation, policy, rail, search, "
     "traffic, train"
 )
-POLICY_KEYS = "policy.hidden, policy.layers"
+POLICY_KEYS = "policy.hidden, policy.layers, policy.masked, policy.mode"
 
 
 @pytest.mark.parametrize(

@@ -1,3 +1,4 @@
+import dataclasses
 import json
 import re
 
@@ -15,6 +16,9 @@ from rail_sumo.errors import InputError
 from rail_sumo.imitation.demonstrations import METADATA_KEY, Demonstrations
 
 FEATURES = ["distance_0_m", "relative_speed_0_mps"]
+ALLOWED = {
+    f"allowed_{action}": pa.array([True, True]) for action in ("keep", "accelerate", "decelerate", "left", "right")
+}
 COLUMNS = {
     "distance_0_m": pa.array([100.0, 7.5]),
     "relative_speed_0_mps": pa.array([0.0, -3.25]),
@@ -34,7 +38,7 @@ def three_episodes():
 
 
 def same(one, other):
-    fields = ("observations", "actions", "episode")
+    fields = ("observations", "actions", "episode", "allowed")
     return all(np.array_equal(getattr(one, field), getattr(other, field)) for field in fields)
 
 
@@ -86,7 +90,8 @@ def test_saved_is_loaded_bit_for_bit(tmp_path_factory, observations, data):
     actions = data.draw(hnp.arrays(np.int64, n, elements=st.integers(0, 4)))
     numbers = data.draw(hnp.arrays(np.int64, n, elements=st.integers(0, 99)))
     path = tmp_path_factory.mktemp("demonstrations") / "any.parquet"
-    demonstrations = Demonstrations(observations, actions, numbers)
+    allowed = data.draw(hnp.arrays(np.bool_, (n, 5))) | np.eye(5, dtype=np.bool_)[actions]
+    demonstrations = Demonstrations(observations, actions, numbers, allowed)
     demonstrations.save(path, features=FEATURES, about={})
     assert same(Demonstrations.load(path, features=FEATURES), demonstrations)
 
@@ -101,6 +106,11 @@ def test_the_file_names_its_columns_and_tells_where_it_is_from(tmp_path):
         "relative_speed_0_mps": "float",
         "action": "int8",
         "episode": "int32",
+        "allowed_keep": "bool",
+        "allowed_accelerate": "bool",
+        "allowed_decelerate": "bool",
+        "allowed_left": "bool",
+        "allowed_right": "bool",
     }
     assert json.loads(table.schema.metadata[METADATA_KEY]) == {
         "features": FEATURES,
@@ -150,6 +160,7 @@ def test_columns_are_found_by_name_not_by_place(tmp_path):
     loaded = Demonstrations.load(path, features=FEATURES)
     assert loaded.observations.tolist() == [[100.0, 0.0], [7.5, -3.25]]
     assert loaded.actions.tolist() == [0, 4]
+    assert loaded.allowed.all()  # a file need not tell
 
 
 def without(name):
@@ -179,6 +190,10 @@ def without(name):
         (COLUMNS | {"action": pa.array([0.5, 0.0])}, "'action' must hold an integer in every row, not double"),
         (COLUMNS | {"episode": pa.array([0, None])}, "'episode' must hold an integer in every row, .* 1 missing"),
         ({name: values[:0] for name, values in COLUMNS.items()}, "hold no decision"),
+        (COLUMNS | {"allowed_left": pa.array([True, True])}, "have no column 'allowed_keep', but others like it"),
+        (COLUMNS | ALLOWED | {"allowed_right": pa.array([True, None])}, "'allowed_right' must hold true or false"),
+        (COLUMNS | ALLOWED | {"allowed_left": pa.array([0, 1])}, "'allowed_left' must hold true or false"),
+        (COLUMNS | ALLOWED | {"allowed_right": pa.array([True, False])}, "row 1 has an action that its columns"),
     ],
 )
 def test_a_file_with_something_wrong_is_refused_in_one_line(tmp_path, columns, message):
@@ -219,5 +234,39 @@ def test_every_feature_needs_a_name(tmp_path):
 
 
 def test_arrays_must_belong_together():
-    with pytest.raises(ValueError, match=r"got \(3, 2\), \(2,\) and \(3,\)"):
+    with pytest.raises(ValueError, match=r"got \(3, 2\), \(2,\), \(3,\) and all"):
         Demonstrations(np.zeros((3, 2)), np.zeros(2, dtype=np.int64), np.zeros(3, dtype=np.int64))
+    with pytest.raises(ValueError, match=r"got \(3, 2\), \(3,\), \(3,\) and \(3, 4\)"):
+        Demonstrations(np.zeros((3, 2)), [0, 1, 2], [0, 0, 0], np.ones((3, 4), dtype=np.bool_))
+
+
+def test_lists_are_demonstrations_too():
+    listed = Demonstrations([[1.0, 2.0], [3.0, 4.0]], [0, 4], [0, 0])
+    assert same(listed, Demonstrations.from_trajectories([episode([[1.0, 2.0], [3.0, 4.0]], [0, 4])]))
+
+
+@pytest.mark.parametrize(
+    ("observations", "actions", "allowed", "message"),
+    [
+        ([[1.0, np.nan]], [0], None, "observations must be finite"),
+        ([[1.0, 1e39]], [0], None, "observations must be finite"),
+        ([[1.0, 2.0]], [7], None, r"actions must lie in 0\.\.4; got 7"),
+        ([[1.0, 2.0]], [-1], None, r"actions must lie in 0\.\.4; got -1"),
+        ([[1.0, 2.0]], [0.5], None, "actions must be integers; got float64"),
+        ([[1.0, 2.0]], [[0]], None, r"got \(1, 2\), \(1, 1\), \(1,\) and all"),
+        ([[1.0, 2.0]], [3], [[True, True, True, False, True]], "an action that was not allowed"),
+        ([[1.0, 2.0]], [3], [[1, 1, 1, 1, 1]], "allowed must be true or false; got int64"),
+    ],
+)
+def test_what_nobody_could_have_decided_is_refused(observations, actions, allowed, message):
+    with pytest.raises(ValueError, match=message):
+        Demonstrations(observations, actions, [0], allowed)
+
+
+def test_what_a_driver_did_against_what_it_was_told_counts_as_allowed():
+    told = np.array([[True, False, False, True, True], [True, True, True, False, False]])
+    driven = dataclasses.replace(episode([[1.0, 2.0], [3.0, 4.0]], [1, 0]), allowed=told)
+    assert Demonstrations.from_trajectories([driven]).allowed.tolist() == [
+        [True, True, False, True, True],
+        [True, True, True, False, False],
+    ]

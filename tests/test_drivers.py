@@ -8,7 +8,7 @@ import pytest
 from rail_sumo import config, drivers
 from rail_sumo.config import Config
 from rail_sumo.errors import InputError, ObservationError
-from rail_sumo.policy import Policy, Shape, Whitening
+from rail_sumo.policy import PolicyParameters, Shape, Whitening
 from rail_sumo.records import KMH, Gaps, HostState, MetaAction
 from rail_sumo.rollout import Task, drive
 
@@ -88,13 +88,29 @@ def test_the_expert_takes_the_best_allowed_action():
     assert expert.decide(observation, env(mask=[False, True, False, False, False])) == ACCELERATE
 
 
-def test_a_learned_driver_decides_as_its_policy_and_sees_no_environment():
+def learned(**how):
     rng = np.random.default_rng(0)
-    policy = Policy(rng.normal(size=5 * 9), Shape(8, None), Whitening(np.zeros(8), np.ones(8)))
-    observations = rng.normal(size=(50, 8))
-    decided = [drivers.Learned(policy).decide(observation, None) for observation in observations]
+    return PolicyParameters(rng.normal(size=5 * 9), Shape(8, None), Whitening(np.zeros(8), np.ones(8)), **how)
+
+
+def test_a_learned_driver_decides_as_its_policy_and_sees_no_environment():
+    observations = np.random.default_rng(1).normal(size=(100, 8))
+    driver, policy = drivers.Learned(learned(), seed=0), learned().policy()
+    decided = [driver.decide(observation, None) for observation in observations]
     assert decided == [policy(observation) for observation in observations]
     assert len(set(decided)) == 5
+
+
+@pytest.mark.parametrize("samples", [False, True])
+def test_a_masked_driver_chooses_among_what_is_allowed(samples):
+    driver, policy = drivers.Learned(learned(samples=samples, masked=True), seed=0), learned().policy()
+    closed = env(mask=[True, True, False, False, True])
+    observations = np.random.default_rng(1).normal(size=(200, 8))
+    decided = np.array([driver.decide(observation, closed) for observation in observations])
+    assert set(decided) == {KEEP, ACCELERATE, RIGHT}
+    best = np.array([policy.outputs(observation)[[KEEP, ACCELERATE, RIGHT]].argmax() for observation in observations])
+    agreed = (np.array([KEEP, ACCELERATE, RIGHT])[best] == decided).mean()
+    assert agreed < 1.0 if samples else agreed == 1.0
 
 
 def decisions(seed, number=5000):
@@ -123,6 +139,23 @@ def test_the_random_driver_does_not_draw_from_the_traffics_stream():
 def test_keeping_is_all_that_keep_does_and_all_that_sumos_own_driver_is_told():
     for name in ("keep", "sumo"):
         assert drivers.by_name(name, Config(), 0).decide(NOTHING, env()) == KEEP
+
+
+@pytest.mark.parametrize(
+    ("name", "known", "hands_off"),
+    [
+        ("sumo", True, True),
+        ("sumo:car", True, "car"),
+        ("sumo:", False, False),
+        ("rule", True, False),
+        ("runs/first", False, False),
+        (learned(), None, False),
+    ],
+)
+def test_a_name_tells_whether_sumo_drives_and_as_what(name, known, hands_off):
+    assert drivers.hands_off(name) == hands_off
+    if isinstance(name, str):
+        assert drivers.is_name(name) == known
 
 
 def test_an_unknown_driver_gets_a_suggestion():
@@ -174,13 +207,14 @@ def test_the_expert_may_decide_more_often_than_it_was_trained_to():
 
 def test_a_drawing_driver_decides_with_softmax_probabilities_and_by_its_seed():
     outputs = np.array([1.0, 0.0, -1.0, 0.5, 2.0])
-    policy = SimpleNamespace(outputs=lambda observation: outputs)
-    driver, same, other = (drivers.Sampling(policy, seed) for seed in (1, 1, 2))
-    drawn = [driver.decide(None, None) for _ in range(20_000)]
+    theta, unwhitened = np.column_stack([np.zeros(5), outputs]).ravel(), Whitening(np.zeros(1), np.ones(1))
+    constant = PolicyParameters(theta, Shape(1, None), unwhitened, samples=True)
+    driver, same, other = (drivers.Learned(constant, seed) for seed in (1, 1, 2))
+    drawn = [driver.decide(np.zeros(1), None) for _ in range(20_000)]
     expected = np.exp(outputs) / np.exp(outputs).sum()
     np.testing.assert_allclose(np.bincount(drawn, minlength=5) / len(drawn), expected, atol=0.015)  # 4 sigma
-    assert [same.decide(None, None) for _ in range(100)] == drawn[:100]
-    assert [other.decide(None, None) for _ in range(100)] != drawn[:100]
+    assert [same.decide(np.zeros(1), None) for _ in range(100)] == drawn[:100]
+    assert [other.decide(np.zeros(1), None) for _ in range(100)] != drawn[:100]
 
 
 def test_advice_is_noted_for_each_observation_as_it_comes_and_not_taken():

@@ -1,5 +1,6 @@
 import dataclasses
 import math
+import re
 
 import gymnasium
 import libsumo
@@ -611,6 +612,33 @@ def test_with_hands_off_decisions_do_nothing(make):
     assert kept.lane_changes == decided.lane_changes
 
 
+TYPES = """<routes>
+    <vType id="slow" length="9.0" width="2.2" minGap="4.0" tau="2.0" maxSpeed="15.0" speedFactor="0.5"/>
+    <vType id="hasty" speedFactor="1.5"/>
+    <route id="along" edges="highway"/>
+    <vehicle id="one" type="slow" route="along" depart="0" departLane="0" departPos="1500"/>
+</routes>"""
+
+
+@pytest.mark.parametrize(("kind", "length_m", "kmh"), [("slow", 9.0, 40.0), ("hasty", 5.0, 120.0)])
+def test_sumos_driver_may_be_one_of_the_demands_types(make, tmp_path, kind, length_m, kmh):
+    (tmp_path / "demand.rou.xml").write_text(TYPES)
+    traffic = {"routes": [str(tmp_path / "demand.rou.xml")], "warm_up_s": 1.0}
+    env = make(world(traffic=traffic, episode={"duration_s": 60.0}), hands_off=kind)
+    driven = drive(env, always(KEEP))
+    assert env.scene.length_m[0] == length_m
+    # Its speed factor times the limit of 80 km/h, and not the 40 to 80 of the ADAS layer.
+    assert driven.speed_mps[-1] * 3.6 == pytest.approx(kmh, abs=0.1)
+
+
+def test_a_type_that_the_demand_has_not_is_refused_in_one_line(make, tmp_path):
+    (tmp_path / "demand.rou.xml").write_text(TYPES)
+    env = make(world(traffic={"routes": [str(tmp_path / "demand.rou.xml")], "warm_up_s": 1.0}), hands_off="slwo")
+    message = "vehicle type 'slwo' of driver 'sumo:slwo' not found; did you mean 'slow'? (available: hasty, slow)"
+    with pytest.raises(InputError, match=f"^{re.escape(message)}$"):
+        env.reset(seed=1)
+
+
 def onlooker_passes(scenes):
     """Overtakes and being overtaken on a straight road, from every step; all cars are 5 m long."""
     side, overtakes, overtaken = {}, 0, 0
@@ -656,6 +684,12 @@ def test_with_a_demand_of_ones_own_only_its_vehicles_are_on_the_road(make):
 # Safety, whatever the supervisor decides.
 
 
+def test_who_does_not_ask_is_told_nothing(make):
+    driven = drive(make(world(episode={"duration_s": 20.0})), at_random(1))
+    assert driven.allowed.shape == (len(driven.actions), 5)
+    assert driven.allowed.all()
+
+
 def jumpy(seed):
     """Nothing but sideways."""
     rng = np.random.default_rng(seed)
@@ -695,12 +729,14 @@ def test_whatever_is_decided_the_host_touches_nobody_and_never_brakes_beyond_9_m
 def test_what_came_of_each_decision_is_noted(make):
     env = make(world(episode={"duration_s": 100.0}))
     env.reset(seed=UNSEEN)
-    decide, came = at_random(1), []
+    decide, came, told = at_random(1), [], []
     while not env.is_over:
         action, mask = decide(env), env.action_masks()
         sideways = action in (MetaAction.LEFT, MetaAction.RIGHT)
         came.append(MetaAction.KEEP if sideways and not mask[action] else action)
         env.drive(action)
+        told.append(mask)
     driven = env.trajectory()
     np.testing.assert_array_equal(driven.carried_out, came)
+    np.testing.assert_array_equal(driven.allowed, told)
     assert 0 < driven.refused_decisions < (driven.carried_out != driven.actions).sum()  # others were under way

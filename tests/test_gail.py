@@ -1,3 +1,4 @@
+import dataclasses
 import itertools
 
 import numpy as np
@@ -8,11 +9,11 @@ from hypothesis import strategies as st
 from toy import EXPERT_ACTIONS, N_DECISIONS, SHAPE, WHITENING, agreement, episode, expert, sights, wrong_everywhere
 
 from rail_sumo import config
-from rail_sumo.drivers import Sampling
+from rail_sumo.drivers import Learned
 from rail_sumo.errors import InputError
 from rail_sumo.imitation import gail
-from rail_sumo.imitation.discriminator import Judge, JudgeLoss
-from rail_sumo.policy import Policy, Shape, Whitening
+from rail_sumo.imitation.discriminator import Discriminator, Fit
+from rail_sumo.policy import Policy, PolicyParameters, Shape, Whitening
 
 SETTINGS = config.Gail(learning_rate=0.01, batch_size=40, epochs=5, critic_hidden=(8,), discount=0.5)
 JUDGE = config.Judge(hidden=(16,), minibatches=20, batch_size=128, learning_rate=0.01)
@@ -24,7 +25,7 @@ def ppo(theta=None, seed=0, shape=SHAPE, whitening=WHITENING):
 
 
 def sample(theta, iteration):
-    driver = Sampling(Policy(theta, SHAPE, WHITENING), seed=iteration)
+    driver = Learned(PolicyParameters(theta, SHAPE, WHITENING, samples=True), seed=iteration)
     return [
         episode(seen, [driver.decide(sight, None) for sight in seen])
         for seen in (sights(1000 * iteration + i) for i in range(4))
@@ -37,14 +38,14 @@ def train(ppo, judge, iterations, first_iteration=1):
 
 
 def judge():
-    return Judge(WHITENING, JUDGE, 0, horizon_decisions=N_DECISIONS)
+    return Discriminator(WHITENING, JUDGE, 0, horizon_decisions=N_DECISIONS)
 
 
 class Indifferent:
     """A judge to whom all is alike."""
 
     def fit(self, expert, learner, rng):
-        return JudgeLoss(0.25, 0.5, 0.5)
+        return Fit(0.25, 0.5, 0.5)
 
     def rewards(self, observations, actions):
         return np.zeros(len(actions))
@@ -114,10 +115,36 @@ def after_an_update(driven, rewards, discount=0.5):
 
 
 def test_after_a_crash_the_lowest_reward_is_earned_for_ever():
-    crashed = episode(sights(0, 1), [0], "collision")
-    buffer = after_an_update([crashed], lambda observations, actions: np.ones(1), discount=0.75)
-    # 1 - 5 (0.75 + 0.75^2 + ...) = 1 - 15, less the critic's 2.
-    assert buffer.advantages.ravel() == pytest.approx([1.0 - 15.0 - 2.0])
+    crashed = episode(sights(0, 2), [0, 0], "collision")
+    buffer = after_an_update([crashed], lambda observations, actions: np.ones(2), discount=0.75)
+    # 1 - 5 (0.75 + 0.75^2 + ...) = 1 - 15, less the critic's 2; a decision before, 0.75 of that.
+    assert buffer.advantages.ravel() == pytest.approx([1.0 - 0.75 * 14.0 - 2.0, 1.0 - 15.0 - 2.0])
+
+
+def test_no_minibatch_is_of_one_decision():
+    """Whose advantage, divided by its spread, would not be finite."""
+    learner = ppo()
+    driven = episode(sights(0, SETTINGS.batch_size + 1), np.zeros(SETTINGS.batch_size + 1), "collision")
+    learner.update([driven], lambda observations, actions: np.ones(len(actions)), np.random.default_rng(0))
+    assert np.isfinite(learner.theta()).all()
+    assert len(learner._ppo.rollout_buffer.actions) == SETTINGS.batch_size
+
+
+def test_what_was_not_allowed_is_no_alternative():
+    """Of two rollouts that differ in the mask alone, the masked one's policy is updated over what was allowed."""
+    seen, allowed = sights(0, 40), np.ones((40, 5), dtype=np.bool_)
+    allowed[:, [2, 3, 4]] = False
+    driven = episode(seen, np.tile([0, 1], 20))
+    masked = dataclasses.replace(driven, allowed=allowed)
+    updated = {}
+    for name, one in (("open", driven), ("masked", masked)):
+        learner = ppo()
+        before = learner.theta().reshape(5, 4)
+        learner.update([one], lambda observations, actions: (actions == 1).astype(float), np.random.default_rng(0))
+        updated[name] = np.abs(learner.theta().reshape(5, 4) - before).max(axis=1)
+    assert (updated["masked"][:2] > 0.01).all()
+    assert (updated["masked"][2:] < 1e-5).all()
+    assert (updated["open"] > 0.01).all()
 
 
 def test_one_rollout_knows_nothing_of_the_next():
@@ -152,7 +179,7 @@ def test_gone_on_with_it_is_the_same_as_uninterrupted():
     for state, uninterrupted in zip(train(second_ppo, second_judge, 2, 3), expected[2:], strict=True):
         assert state.iteration == uninterrupted.iteration
         np.testing.assert_array_equal(state.theta, uninterrupted.theta)
-        assert state.judge_loss == uninterrupted.judge_loss
+        assert state.judge_fit == uninterrupted.judge_fit
 
 
 def test_a_rollout_of_one_decision_tells_nothing():

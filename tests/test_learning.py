@@ -5,7 +5,7 @@ import pytest
 from scipy import stats
 
 from rail_sumo import config, run
-from rail_sumo.imitation.discriminator import Judge
+from rail_sumo.imitation.discriminator import Discriminator
 
 pytestmark = pytest.mark.xdist_group("learning")  # `by_its_judge` is trained once
 
@@ -42,7 +42,7 @@ def test_rail_drives_faster_than_its_clone_as_the_expert_does(by_its_judge):
 
 @pytest.mark.slow
 def test_under_an_indifferent_judge_it_stays_the_clone(tmp_path, monkeypatch):
-    monkeypatch.setattr(Judge, "returns", lambda self, trajectories: np.full(len(trajectories), 0.3))
+    monkeypatch.setattr(Discriminator, "returns", lambda self, trajectories: np.full(len(trajectories), 0.3))
     assert not gains_kmh(tmp_path / "run").any()
 
 
@@ -52,6 +52,8 @@ def test_judges_that_toss_coins_improve_it_by_less_than_half(by_its_judge, tmp_p
     gains = []
     for seed in range(3):
         rng = np.random.default_rng(seed)
-        monkeypatch.setattr(Judge, "returns", lambda self, trajectories, rng=rng: rng.normal(size=len(trajectories)))
+        monkeypatch.setattr(
+            Discriminator, "returns", lambda self, trajectories, rng=rng: rng.normal(size=len(trajectories))
+        )
         gains.append(gains_kmh(tmp_path / f"run{seed}").mean())
     assert np.mean(gains) < 0.5 * by_its_judge.mean()

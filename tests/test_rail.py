@@ -7,7 +7,7 @@ from toy import N_DECISIONS, SHAPE, WHITENING, agreement, episode, expert, sight
 from rail_sumo.config import Judge as JudgeSettings
 from rail_sumo.config import Search
 from rail_sumo.imitation import rail
-from rail_sumo.imitation.discriminator import Judge, JudgeLoss
+from rail_sumo.imitation.discriminator import Discriminator, Fit
 from rail_sumo.imitation.random_search import RandomSearch
 from rail_sumo.policy import Policy
 
@@ -30,7 +30,7 @@ def evaluate(theta, perturbations, iteration):
 
 
 def judge(settings=JUDGE, seed=0):
-    return Judge(WHITENING, settings, seed, horizon_decisions=N_DECISIONS)
+    return Discriminator(WHITENING, settings, seed, horizon_decisions=N_DECISIONS)
 
 
 def train(judge, iterations, theta=None, seed=0, first_iteration=1, evaluate=evaluate):
@@ -54,7 +54,7 @@ class ByChance:
         self.rng = np.random.default_rng(seed)
 
     def fit(self, expert, learner, rng):
-        return JudgeLoss(0.25, 0.5, 0.5)
+        return Fit(0.25, 0.5, 0.5)
 
     def returns(self, trajectories):
         return self.rng.normal(size=len(trajectories))
@@ -82,7 +82,7 @@ def test_an_indifferent_judge_moves_nothing():
 
 
 def test_the_judge_first_sees_through_the_learner_and_in_the_end_cannot():
-    losses = [state.judge_loss.loss for state in train(judge(), 30)]
+    losses = [state.judge_fit.loss for state in train(judge(), 30)]
     assert min(losses[:15]) < 0.22
     assert losses[-1] == pytest.approx(0.25, abs=0.01)  # D = 1/2 everywhere
 
@@ -99,7 +99,7 @@ def test_resumed_is_uninterrupted_bit_for_bit():
     for state, expected in zip(resumed, uninterrupted[4:], strict=True):
         assert state.iteration == expected.iteration
         assert np.array_equal(state.theta, expected.theta)
-        assert (state.step_norm, state.judge_loss) == (expected.step_norm, expected.judge_loss)
+        assert (state.step_norm, state.judge_fit) == (expected.step_norm, expected.judge_fit)
 
 
 def test_the_seed_decides_and_every_iteration_draws_anew():

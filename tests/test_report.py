@@ -1,3 +1,4 @@
+import re
 import resource
 from contextlib import contextmanager
 
@@ -5,7 +6,7 @@ import numpy as np
 import pandas as pd
 import pytest
 from rich.console import Console
-from scipy.stats import bootstrap, trim_mean
+from scipy.stats import ttest_1samp
 
 from rail_sumo import report
 from rail_sumo.errors import InputError
@@ -21,43 +22,106 @@ def rows(policy, speeds_kmh, **changes):
     ]
 
 
+RATIO, DIFFERENCE = (["ratio", "ratio_low", "ratio_high"], ["difference", "difference_low", "difference_high"])
+INTERVALS = ["low", "high", *RATIO[1:], *DIFFERENCE[1:]]
+
+
 def summarised(episodes, policy, metric):
     summary = report.summary(episodes)
     return summary[(summary["policy"] == policy) & (summary["metric"] == metric)].iloc[0]
 
 
-def test_interquartile_mean_matches_hand_computation():
-    # Of eight episodes the two slowest and the two fastest go: (60 + 62 + 64 + 66) / 4 = 63; the mean is 70.25.
-    episodes = report.episodes(rows("rule", [0, 10, 60, 62, 64, 66, 100, 200]))
-    speed = summarised(episodes, "rule", "speed_kmh")
-    assert (speed["iqm"], speed["mean"]) == (63.0, 70.25)
+def test_mean_and_interval_by_hand():
+    speed = summarised(report.episodes(rows("rule", [60.0, 64.0])), "rule", "speed_kmh")
+    # Standard error 2, and 12.7062 is the 97.5 % point of Student's t with one degree of freedom.
+    assert speed[["mean", "low", "high"]].tolist() == pytest.approx(
+        [62.0, 62 - 2 * 12.7062, 62 + 2 * 12.7062], abs=1e-3
+    )
+    assert speed["episodes"] == 2
 
 
-def test_interval_matches_scipys_own_bootstrap():
+def test_the_interval_is_of_the_mean_of_episodes():
     speeds = np.random.default_rng(0).normal(68.0, 3.0, 16)
     speed = summarised(report.episodes(rows("rule", speeds)), "rule", "speed_kmh")
-    independent = bootstrap(
-        (speeds,), lambda x, axis: trim_mean(x, 0.25, axis=axis), method="percentile", rng=np.random.default_rng(1)
-    ).confidence_interval
-    assert (speed["low"], speed["high"]) == pytest.approx(tuple(independent), abs=0.1)
-    assert speed["low"] < speed["iqm"] < speed["high"]
+    expected = ttest_1samp(speeds, 0.0).confidence_interval(0.95)
+    assert speed[["mean", "low", "high"]].tolist() == pytest.approx([speeds.mean(), *expected], abs=1e-6)
 
 
-def test_one_episode_is_its_own_interval():
-    speed = summarised(report.episodes(rows("rule", [61.5])), "rule", "speed_kmh")
-    assert (speed["low"], speed["iqm"], speed["high"]) == (61.5, 61.5, 61.5)
+@pytest.mark.parametrize("speeds_kmh", [[61.5], [61.5] * 16])
+def test_one_episode_has_no_interval_nor_have_episodes_that_are_all_the_same(speeds_kmh):
+    beside = rows("rule", speeds_kmh) + rows("expert", [60.0] * len(speeds_kmh))
+    speed = summarised(report.episodes(beside), "rule", "speed_kmh")
+    assert speed[["mean", "ratio", "difference"]].tolist() == [61.5, 1.025, 1.5]
+    assert speed[INTERVALS].isna().all()
 
 
 def test_ratio_is_of_the_means_and_only_beside_the_expert():
     rule, expert = rows("rule", [60.0, 66.0]), rows("expert", [70.0, 70.0])
-    assert summarised(report.episodes(rule + expert), "rule", "speed_kmh")["ratio_to_expert"] == 0.9
-    assert summarised(report.episodes(rule + expert), "expert", "speed_kmh")["ratio_to_expert"] == 1.0
-    assert np.isnan(summarised(report.episodes(rule), "rule", "speed_kmh")["ratio_to_expert"])
+    assert summarised(report.episodes(rule + expert), "rule", "speed_kmh")["ratio"] == 0.9
+    assert summarised(report.episodes(rule + expert), "expert", "speed_kmh")["ratio"] == 1.0
+    alone = summarised(report.episodes(rule), "rule", "speed_kmh")
+    assert alone["reference"] == "expert"
+    assert alone[[*RATIO, *DIFFERENCE]].isna().all()
+
+
+def test_differences_are_of_the_same_episode_by_hand():
+    beside = rows("rule", [61.0, 73.0, 65.0]) + rows("expert", [60.0, 70.0, 60.0])
+    speed = summarised(report.episodes(beside), "rule", "speed_kmh")
+    # Differences 1, 3 and 5: standard error 2 / sqrt(3); 4.3027 is the 97.5 % point with two degrees of freedom.
+    half = 4.3027 * 2 / np.sqrt(3)
+    assert speed[DIFFERENCE].tolist() == pytest.approx([3.0, 3 - half, 3 + half], abs=1e-3)
+    # The means' ratio is 199 / 190; what deviates from it, over the mean of 190 / 3.
+    deviations = np.array([61 - 60 * 199 / 190, 73 - 70 * 199 / 190, 65 - 60 * 199 / 190]) / (190 / 3)
+    half = 4.3027 * np.sqrt((deviations**2).sum() / 2 / 3)
+    assert speed[RATIO].tolist() == pytest.approx([199 / 190, 199 / 190 - half, 199 / 190 + half], abs=1e-5)
+    assert speed["high"] - speed["low"] > 2 * (speed["difference_high"] - speed["difference_low"])
+
+
+def test_episodes_are_compared_by_number_in_whatever_order_they_are_told():
+    rule, expert = rows("rule", [61.0, 73.0, 65.0]), rows("expert", [60.0, 70.0, 60.0])
+    in_order, shuffled = report.episodes(rule + expert), report.episodes([*expert[::-1], rule[1], rule[0], rule[2]])
+    for metric in METRICS:
+        one, other = (summarised(episodes, "rule", metric) for episodes in (in_order, shuffled))
+        pd.testing.assert_series_equal(one, other, check_names=False)
+
+
+def test_an_episode_that_the_reference_did_not_drive_counts_for_the_mean_alone():
+    beside = rows("rule", [61.0, 73.0, 200.0]) + rows("expert", [60.0, 70.0])
+    speed = summarised(report.episodes(beside), "rule", "speed_kmh")
+    assert speed["mean"] == pytest.approx(334 / 3, abs=1e-6)
+    assert (speed["ratio"], speed["difference"]) == (pytest.approx(134 / 130, abs=1e-6), 2.0)
+
+
+def test_another_policy_may_be_the_reference():
+    three = report.episodes(rows("rule", [60.0, 66.0]) + rows("expert", [70.0, 70.0]) + rows("mine", [80.0, 60.0]))
+    by_rule = report.summary(three, reference="rule")
+    assert (by_rule["reference"] == "rule").all()
+    speeds = by_rule[by_rule["metric"] == "speed_kmh"].set_index("policy")
+    assert speeds["difference"].to_dict() == {"rule": 0.0, "expert": 7.0, "mine": 7.0}
+    assert speeds.loc["mine", "ratio"] == pytest.approx(140 / 126, abs=1e-6)
+    same = ["policy", "metric", "episodes", "mean", "low", "high"]
+    pd.testing.assert_frame_equal(by_rule[same], report.summary(three)[same])
 
 
 def test_nothing_is_a_multiple_of_an_expert_without_collisions():
-    beside = rows("rule", [60.0]) + rows("expert", [70.0], collisions=0)
-    assert np.isnan(summarised(report.episodes(beside), "rule", "collisions")["ratio_to_expert"])
+    beside = rows("rule", [60.0, 61.0]) + rows("expert", [70.0, 71.0], collisions=0)
+    collisions = summarised(report.episodes(beside), "rule", "collisions")
+    assert np.isnan(collisions["ratio"])
+    assert collisions["difference"] == 1.0
+
+
+@pytest.mark.parametrize("metric", report.CONTACTS)
+def test_of_contacts_the_share_of_episodes_is_told_and_their_comparison_has_no_interval(metric):
+    rule = rows("rule", [60.0] * 4)
+    for row, contacts in zip(rule, (0, 2, 0, 0), strict=True):
+        row[metric] = contacts
+    contacts = summarised(report.episodes(rule + rows("expert", [70.0] * 4)), "rule", metric)
+    # Wilson's, at 1 of 4: its centre is (1 + z^2 / 2) / (4 + z^2), and both ends solve (p - 1/4)^2 = z^2 p (1 - p) / 4.
+    assert contacts["mean"] == 0.25
+    for end in contacts[["low", "high"]]:
+        assert (end - 0.25) ** 2 == pytest.approx(1.959964**2 * end * (1 - end) / 4, abs=1e-5)
+    assert contacts["low"] < 0.25 < contacts["high"]
+    assert contacts[["ratio_low", "ratio_high", "difference_low", "difference_high"]].isna().all()
 
 
 def test_a_policy_that_has_not_crashed_yet_may_crash():
@@ -67,16 +131,24 @@ def test_a_policy_that_has_not_crashed_yet_may_crash():
 
 
 def test_time_to_collision_is_summarised_where_the_host_closed_in():
-    episodes = report.episodes(rows("rule", [60.0], min_ttc_s=np.inf) + rows("rule", [60.0, 60.0], min_ttc_s=3.0))
-    assert summarised(episodes, "rule", "min_ttc_s")["mean"] == 3.0
+    rule = rows("rule", [60.0] * 4)
+    for row, min_ttc_s in zip(rule, (np.inf, 2.0, 4.0, np.inf), strict=True):
+        row["min_ttc_s"] = min_ttc_s
+    some = summarised(report.episodes(rule), "rule", "min_ttc_s")
+    assert some[["episodes", "mean"]].tolist() == [2, 3.0]
+    assert some["high"] == pytest.approx(3 + 12.7062, abs=1e-3)  # two are left, with a standard error of 1
     never = summarised(report.episodes(rows("rule", [60.0], min_ttc_s=np.inf)), "rule", "min_ttc_s")
-    assert never[["mean", "iqm", "low", "high"]].isna().all()
+    assert never["episodes"] == 0
+    assert never[["mean", "low", "high"]].isna().all()
 
 
 def test_an_expert_that_never_closed_in_leaves_the_ratio_to_the_rest():
-    expert = rows("expert", [60.0], min_ttc_s=np.inf) + rows("expert", [60.0], min_ttc_s=2.0)
-    beside = report.episodes(rows("rule", [60.0, 60.0], min_ttc_s=3.0) + expert)
-    assert summarised(beside, "rule", "min_ttc_s")["ratio_to_expert"] == 1.5
+    expert = rows("expert", [60.0, 60.0], min_ttc_s=2.0)
+    expert[0]["min_ttc_s"] = np.inf
+    rule = rows("rule", [60.0, 60.0], min_ttc_s=3.0)
+    rule[0]["min_ttc_s"] = 9.0
+    compared = summarised(report.episodes(rule + expert), "rule", "min_ttc_s")
+    assert compared[["mean", "ratio", "difference"]].tolist() == [6.0, 1.5, 1.0]
 
 
 def test_the_same_episodes_give_the_same_summary():
@@ -141,15 +213,89 @@ def test_a_full_disk_leaves_nothing_behind(tables, tmp_path):
     assert list(tmp_path.iterdir()) == []
 
 
-def test_the_terminal_shows_every_policy_with_its_ratio_within_100_columns():
-    name = "runs/[dense] highway5-seed0"
-    beside = report.episodes(rows(name, [63.0], collisions=0) + rows("expert", [70.0], collisions=0))
+def printed(summary):
     console = Console(width=100)
     with console.capture() as shown:
-        console.print(report.table(report.summary(beside)))
-    lines = shown.get().splitlines()
+        console.print(report.table(summary))
+    return shown.get().splitlines()
+
+
+def line_of(name, lines):
+    return next(number for number, line in enumerate(lines) if name in line)
+
+
+def test_the_terminal_shows_every_policy_with_its_ratio_within_100_columns():
+    name = "runs/[dense] highway5-seed0"
+    beside = rows(name, [63.0, 65.0], collisions=0) + rows("expert", [70.0, 70.0], collisions=0)
+    lines = printed(report.summary(report.episodes(beside)))
     assert max(map(len, lines)) <= 100
-    learned = next(number for number, line in enumerate(lines) if name in line)
-    assert lines[learned].split()[-6:] == ["63.0", "1.0", "1.0", "1.0", "0.00", "1.00"]
-    # Below: ratios, but none to an expert that never collided.
-    assert lines[learned + 1].split() == ["0.90", "1.00", "1.00", "1.00", "1.00"]
+    learned, expert = line_of("runs/[dense]", lines), line_of("expert  ", lines)
+    # Half an interval of two episodes is 12.706 standard errors: of the mean 1, of the ratio 1 / 70. In both episodes
+    # it was struck.
+    means = ["64.0", "±", "12.7", "1.0", "1.0", "1.0", "1.0", "1.00", "2"]
+    assert lines[learned].split()[-len(means) :] == means
+    ratios = ["0.91", "±", "0.18", "1.00", "1.00"]  # of speed, overtakes and lane changes alone
+    assert lines[learned + 1].split()[-len(ratios) :] == ratios
+    named = " ".join(re.split(r"  +", line.strip())[0] for line in lines[learned:expert])
+    assert named == name  # whole, on however many lines
+    assert lines[expert].split() == ["expert", "70.0", "1.0", "1.0", "1.0", "1.0", "1.00", "2"]
+    assert not lines[expert + 1].strip()  # of itself it is no ratio
+    assert "means over 2 episodes ± 95 % interval; below, ratios to expert" in " ".join(" ".join(lines).split())
+
+
+def test_the_terminal_shows_usual_figures_and_who_drove_within_100_columns():
+    rng = np.random.default_rng(0)
+    usual = {"overtakes": (45, 9), "overtaken": (8, 4), "lane_changes": (14, 4), "hard_brakings": (1, 1)}
+    usual["refused_decisions"] = (120, 20)  # the random driver's
+    driven = [row for name in ("random", "expert") for row in rows(name, rng.normal(69.0, 3.0, 16))]
+    for row in driven:
+        row |= {metric: max(0, round(rng.normal(*spread))) for metric, spread in usual.items()}
+    summary = report.summary(report.episodes(driven))
+    lines = printed(summary)
+    assert not any("…" in line for line in lines)
+    of = summary.set_index(["policy", "metric"])
+    for name in ("random", "expert"):
+        shown = []
+        for metric in ("speed_kmh", "overtakes", "lane_changes"):
+            mean, _, high = of.loc[(name, metric), ["mean", "low", "high"]]
+            shown.append(f"{mean:.1f} ± {high - mean:.1f}")
+        shown += [f"{of.loc[(name, metric), 'mean']:.1f}" for metric in ("refused_decisions", "overtaken")]
+        shown.append(f"{of.loc[(name, 'hard_brakings'), 'mean']:.2f}")
+        assert re.split(r"  +", lines[line_of(name, lines)].strip()) == [name, *shown, "32"]
+
+
+def test_a_narrow_terminal_is_shown_less_and_every_name():
+    driven = report.episodes(rows("runs/first", [63.0, 65.0]) + rows("expert", [70.0, 71.0]))
+    console = Console(width=80)
+    with console.capture() as shown:
+        console.print(report.table(report.summary(driven), width=80))
+    lines = shown.get().splitlines()
+    assert max(map(len, lines)) <= 80
+    assert not any("…" in line for line in lines)
+    assert lines[line_of("runs/first", lines)].split()[-2:] == ["1.0", "4"]  # refused, contacts
+
+
+def test_the_terminal_tells_which_policy_is_the_reference():
+    # One episode tells no interval, which is told.
+    three = report.episodes([*rows("rule", [60.0]), *rows("mine", [66.0]), *rows("expert", [72.0])])
+    lines = printed(report.summary(three, reference="rule"))
+    assert "one episode, which tells no interval; below, ratios to rule" in " ".join(lines)
+    assert not any("±" in line for line in lines)
+    assert [lines[line_of(name, lines) + 1].split()[:1] for name in ("mine", "expert  ")] == [["1.10"], ["1.20"]]
+
+
+@pytest.mark.parametrize("names", [["rule"], ["rule", "mine"]])
+def test_the_terminal_shows_no_ratios_to_one_who_did_not_drive(names):
+    lines = printed(report.summary(report.episodes([row for name in names for row in rows(name, [60.0])])))
+    assert "ratios" not in " ".join(lines)
+    first, last = line_of(names[0], lines), line_of(names[-1], lines)
+    assert last - first == len(names) - 1  # nothing between them
+    assert not lines[last + 1].strip()
+
+
+def test_the_terminal_counts_the_episodes_with_a_contact():
+    rule = rows("rule", [60.0] * 16, collisions=0, struck=0)
+    rule[3]["struck"], rule[5]["collisions"] = 2, 1
+    lines = printed(report.summary(report.episodes(rule)))
+    assert "contacts" in " ".join(lines)
+    assert lines[line_of("rule", lines)].split()[-1] == "2"

@@ -36,6 +36,7 @@ def drive(task):
         observations=observations,
         actions=actions,
         carried_out=actions,
+        allowed=np.ones((len(actions), 5), dtype=np.bool_),
         speed_mps=np.full(201, 15.0 + (actions == 1).sum()),
         distance_m=20.0 * (15.0 + (actions == 1).sum()),
         limit_mps=np.full(200, 80.0 / 3.6),
@@ -180,7 +181,7 @@ def test_training_moves_the_policy_and_tells_of_every_iteration(small, driven, t
     assert tuple(progress.columns) == PROGRESS_COLUMNS
     assert list(progress["iteration"]) == [1, 2, 3]
     assert list(progress["environment_steps"]) == [800, 1600, 2400]  # 2 directions, 2 signs, 200 steps
-    assert list(episodes["policy"].unique()) == ["rail", "clone", "expert"]
+    assert list(episodes["policy"].unique()) == ["rail", "clone, argmax", "clone, sampled", "expert"]
     pd.testing.assert_frame_equal(episodes, pd.read_parquet(tmp_path / "run" / "episodes.parquet"))
     pd.testing.assert_frame_equal(summary, pd.read_parquet(tmp_path / "run" / "summary.parquet"))
 
@@ -189,7 +190,7 @@ def test_an_expert_that_senses_something_else_is_left_out(small, driven, tmp_pat
     monkeypatch.undo()
     monkeypatch.setattr(rollout, "drive", drive)
     episodes, _ = run.train(small, tmp_path / "run", seed=1)
-    assert list(episodes["policy"].unique()) == ["rail", "clone"]
+    assert list(episodes["policy"].unique()) == ["rail", "clone, argmax", "clone, sampled"]
 
 
 def test_both_signs_meet_the_same_traffic_which_is_new_each_iteration_and_never_evaluated_on(small, driven, tmp_path):
@@ -263,11 +264,11 @@ def test_a_run_resumed_for_more_iterations_is_one_that_was_to_have_them(small, d
 
 
 def test_a_learner_is_set_beside_its_clone_if_it_has_one(small, driven, tmp_path):
-    beside = {"rail": ["rail", "clone"], "gail": ["gail", "clone"], "dagger": ["dagger", "clone"], "ars": ["ars"]}
-    for learner, policies in beside.items():
+    clones = ["clone, argmax", "clone, sampled"]
+    for learner, beside in {"rail": clones, "gail": clones, "dagger": clones, "ars": []}.items():
         world = small.model_copy(update={"train": small.train.model_copy(update={"learner": learner})})
         episodes, _ = run.train(world, tmp_path / learner, seed=1)
-        assert list(episodes["policy"].unique()) == [*policies, "expert"]
+        assert list(episodes["policy"].unique()) == [learner, *beside, "expert"]
 
 
 def test_a_reward_that_is_to_count_is_the_environments_by_the_decision(small, driven, tmp_path):
@@ -297,7 +298,7 @@ def test_a_run_cannot_be_resumed_for_fewer_iterations_than_it_has(small, trained
 
 
 def test_a_run_is_evaluated_in_its_own_world_unless_told_otherwise(trained, small):
-    assert run.world(["rule", str(trained)]) == small
+    assert run.world(["rule", str(trained)]) == training.resolved(small)
     assert run.world([str(trained)], ["traffic.vehicles=3"]).traffic.vehicles == 3
     assert run.world(["rule"]) == config.Config()
 

@@ -274,8 +274,9 @@ class HandsOff:
     aborted_lane_changes = 0
     refused_decisions = 0
 
-    def __init__(self, config: config.Adas) -> None:
+    def __init__(self, config: config.Adas, *, keeps_limits: bool = True) -> None:
         self._config = config
+        self._keeps_limits = keeps_limits  # or SUMO does, as it has its vehicles do
         self.changing_lane = False
         self.lane_changes = 0
         self._last: HostState | None = None
@@ -294,6 +295,8 @@ class HandsOff:
         same_edge = last is not None and 0.0 < host.to_edge_end_m <= last.to_edge_end_m  # 0 on a junction
         self.changing_lane = last is not None and same_edge and host.lane != last.lane
         self.lane_changes += self.changing_lane
+        if not self._keeps_limits:
+            return Command(SUMO_DECIDES)
         fastest = self._config.highest_mps(host.limit_mps)
         limited = _within_limits(fastest, host, self._config, steps=1)
         return Command(limited if limited < fastest else SUMO_DECIDES)

@@ -35,6 +35,7 @@ VEHICLE_M = 20.0
 """No vehicle reaches farther than this from its front bumper, by which SUMO places it."""
 HIGHEST_LIMIT_MPS = 250.0 / KMH
 """Networks write a higher limit where a road has none."""
+ALL_ALLOWED = [True] * len(MetaAction)
 DEMAND_START_M = 10.0
 """Place on the course where the host enters the user's own traffic."""
 
@@ -48,13 +49,16 @@ class HighwayEnv(gymnasium.Env[Floats, np.int64]):
 
     Args:
         config: the world; the default one without it.
-        hands_off: leave the host to SUMO's own driver and ignore the actions.
+        hands_off: leave the host to SUMO's own driver and ignore the actions; a vehicle type's id, of the user's demand
+            or of SUMO's, has the host be a vehicle of that type.
         outputs: further options of SUMO's, such as those of its own reports, which are whole once an episode is closed.
     """
 
     metadata = {"render_modes": []}  # noqa: RUF012  gymnasium reads it from the class
 
-    def __init__(self, config: Config | None = None, *, hands_off: bool = False, outputs: Sequence[str] = ()) -> None:
+    def __init__(
+        self, config: Config | None = None, *, hands_off: bool | str = False, outputs: Sequence[str] = ()
+    ) -> None:
         self.config = config or Config()
         self._hands_off = hands_off
         self._outputs = outputs
@@ -98,6 +102,8 @@ class HighwayEnv(gymnasium.Env[Floats, np.int64]):
         self._observations: list[Floats] = []
         self._actions: list[int] = []
         self._carried_out: list[int] = []
+        self._allowed: list[list[bool]] = []
+        self._told: list[bool] | None = None
         self._lane_changing: list[bool] = []
         self._limits_mps: list[float] = []
         self._end = None
@@ -146,8 +152,9 @@ class HighwayEnv(gymnasium.Env[Floats, np.int64]):
             )
         simulation.wait_for_host()
         if self._hands_off:
-            self._adas: Adas | HandsOff = HandsOff(adas)
-            simulation.host.hand_over()
+            kind = self._hands_off if isinstance(self._hands_off, str) else None
+            self._adas: Adas | HandsOff = HandsOff(adas, keeps_limits=kind is None)
+            simulation.host.hand_over(kind)
         else:
             entered_mps = simulation.host.speeds_mps[0] if as_traffic else start_mps
             self._adas = Adas(adas, start_mps=max(start_mps, entered_mps))
@@ -189,6 +196,8 @@ class HighwayEnv(gymnasium.Env[Floats, np.int64]):
         self._actions.append(decided)
         host = simulation.host.state()
         self._carried_out.append(adas.decide(decided, host, simulation.host.gaps))
+        self._allowed.append(self._told or ALL_ALLOWED)
+        self._told = None
         driven = 0
         while True:
             was_changing = adas.changing_lane
@@ -267,9 +276,15 @@ class HighwayEnv(gymnasium.Env[Floats, np.int64]):
         return self._adas.changing_lane
 
     def action_masks(self) -> list[bool]:
-        """Return for each meta-action whether a masked policy may choose it now, see `Adas.allowed`."""
-        assert self._simulation is not None
-        return self._adas.allowed(self._simulation.host.state(), self._simulation.host.gaps)
+        """Return for each meta-action whether a masked policy may choose it now, see `Adas.allowed`.
+
+        The trajectory notes that the supervisor was told.
+        """
+        if self._told is None:
+            assert self._simulation is not None
+            host = self._simulation.host
+            self._told = self._adas.allowed(host.state(), host.gaps)
+        return self._told
 
     def surroundings(self) -> tuple[HostState, Gaps, Gaps, Gaps]:
         """Return the host's state and the true gaps in its own lane, to its left and to its right."""
@@ -284,6 +299,7 @@ class HighwayEnv(gymnasium.Env[Floats, np.int64]):
             observations=np.array(self._observations),
             actions=np.array(self._actions, dtype=np.int64),
             carried_out=np.array(self._carried_out, dtype=np.int64),
+            allowed=np.array(self._allowed, dtype=np.bool_),
             speed_mps=np.array(self._simulation.host.speeds_mps),
             distance_m=self._simulation.travelled_m(HOST),
             limit_mps=np.array(self._limits_mps),

@@ -8,9 +8,10 @@ from dataclasses import dataclass
 import libsumo
 
 from rail_sumo import config
+from rail_sumo.errors import InputError, did_you_mean
 from rail_sumo.highway import acc
 from rail_sumo.highway.acc import Leader
-from rail_sumo.highway.demand import HOST
+from rail_sumo.highway.demand import HOST, OURS
 from rail_sumo.highway.hard_braking import hard_brakings
 from rail_sumo.highway.right_of_way import NOT_GREEN, SIGHT_M, GiveWay, Place, Signal
 from rail_sumo.highway.road import Edge, Road
@@ -24,6 +25,8 @@ COMMANDED_ONLY = 256
 SUMO_CHANGES_LANES = 1621
 """SUMO's default lane-change mode."""
 
+SUMO_TYPES = ("DEFAULT_",)
+"""What the ids of the types begin with that SUMO has of its own."""
 UNLIMITED = 10.0
 """Speed factor with which SUMO does not hold the host to the road's limits."""
 
@@ -128,14 +131,30 @@ class Host:
         self.speeds_mps.append(libsumo.vehicle.getSpeed(HOST))
         self._leader = self._look_ahead()
 
-    def hand_over(self) -> None:
+    def hand_over(self, kind: str | None = None) -> None:
         """Let SUMO's own driver drive: no adaptive cruise control, lane changes of its own accord.
 
         Its speed is left to it by a command with a negative speed.
+
+        Args:
+            kind: the vehicle type whose car-following, lane changes, size and mean speed factor it has from now on.
+
+        Raises:
+            InputError: there is no such type.
         """
+        vehicle, types = libsumo.vehicle, libsumo.vehicletype
         self._sumo_drives = True
-        libsumo.vehicle.setTau(HOST, self._adas.time_gap_s)  # as a vehicle of SUMO's, it has no other time gap
-        libsumo.vehicle.setLaneChangeMode(HOST, SUMO_CHANGES_LANES)
+        if kind is None:
+            vehicle.setTau(HOST, self._adas.time_gap_s)  # as a vehicle of SUMO's, it has no other time gap
+        else:
+            known = sorted(name for name in types.getIDList() if not name.startswith((OURS, *SUMO_TYPES)))
+            if kind not in types.getIDList():
+                raise InputError(f"vehicle type '{kind}' of driver 'sumo:{kind}' not found{did_you_mean(kind, known)}")
+            vehicle.setType(HOST, kind)
+            vehicle.setSpeedFactor(HOST, types.getSpeedFactor(kind))
+            vehicle.setMaxSpeed(HOST, types.getMaxSpeed(kind))
+            vehicle.setSpeedMode(HOST, SUMO_SPEED_MODE)
+        vehicle.setLaneChangeMode(HOST, SUMO_CHANGES_LANES)
 
     # What it can know.
 

@@ -1,7 +1,7 @@
 """Augmented random search on the environment's own reward: RAIL's search without the imitation, for comparison.
 
 Source: Mania, Guy & Recht, "Simple random search of static linear policies is competitive for reinforcement learning"
-(NeurIPS 2018). With whitening it is their V2, without V1; with n_top < N their V2-t and V1-t.
+(NeurIPS 2018). Whitening on: their V2; off: V1. With n_top < N: V2-t and V1-t.
 """
 
 import itertools
@@ -15,7 +15,7 @@ from rail_sumo.imitation.random_search import RandomSearch
 from rail_sumo.policy import Whitening
 from rail_sumo.records import Floats, Trajectory
 
-Evaluate = Callable[[Floats, Whitening, Floats, int], tuple[list[Trajectory], list[Trajectory]]]
+EvaluateWhitened = Callable[[Floats, Whitening, Floats, int], tuple[list[Trajectory], list[Trajectory]]]
 """(theta, whitening, perturbations, iteration) -> rollouts of theta plus each perturbation, and minus each."""
 
 
@@ -66,7 +66,7 @@ class ArsState:
     step_norm: float
     """How far theta moved; 0.0 where all returns were the same."""
     mean_return: float
-    """Of the rollouts it was decided by."""
+    """Mean return of the perturbed rollouts that this update used."""
     driven: list[Trajectory]
 
 
@@ -76,7 +76,7 @@ def train(
     *,
     search: config.Search,
     whiten: bool,
-    evaluate: Evaluate,
+    evaluate: EvaluateWhitened,
     returns: Callable[[list[Trajectory]], Floats],
     seed: int,
     first_iteration: int = 1,

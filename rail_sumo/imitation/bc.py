@@ -13,16 +13,26 @@ from rail_sumo.records import Floats
 
 @single_threaded()
 def clone(
-    demonstrations: Demonstrations, shape: Shape, whitening: Whitening, cloning: config.Cloning, seed: int
+    demonstrations: Demonstrations,
+    shape: Shape,
+    whitening: Whitening,
+    cloning: config.Cloning,
+    seed: int,
+    *,
+    masked: bool = False,
 ) -> Floats:
     """Fit a policy to what was demonstrated, by softmax cross-entropy on whitened observations.
 
+    A masked policy's softmax is over the actions that its driver was told it may choose (Huang & Ontañón, "A closer
+    look at invalid action masking in policy gradient algorithms", 2022).
+
     Args:
-        demonstrations: what was seen and decided; observations of shape (n, shape.n_features).
+        demonstrations: what was seen, allowed and decided; observations of shape (n, shape.n_features).
         shape: the layout of theta.
         whitening: the policy's own.
         cloning: epochs (0 returns the network it would start from), batch size, Adam's rate, L2 weight decay.
         seed: of the first weights and of the order of the minibatches; the same seed gives the same theta.
+        masked: whether the policy is.
 
     Returns:
         theta, shape (shape.size,), in the layout of `policy.unflatten`.
@@ -42,10 +52,12 @@ def clone(
 
     observations = torch.from_numpy(whitening(demonstrations.observations).astype(np.float32))
     actions = torch.from_numpy(demonstrations.actions)
+    forbidden = torch.from_numpy(~demonstrations.allowed if masked else np.zeros_like(demonstrations.allowed))
     for _ in range(cloning.epochs):
         order = torch.from_numpy(rng.permutation(len(actions)))
         for batch in order.split(cloning.batch_size):
-            loss = functional.cross_entropy(network(observations[batch]), actions[batch])
+            outputs = network(observations[batch]).masked_fill(forbidden[batch], -torch.inf)
+            loss = functional.cross_entropy(outputs, actions[batch])
             adam.zero_grad()
             loss.backward()
             adam.step()

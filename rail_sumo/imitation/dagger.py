@@ -52,7 +52,7 @@ def train(
     """
     for iteration in itertools.count(first_iteration):
         advised = advise(theta, iteration)
-        labelled = labelled.joined([(trajectory.observations, advice) for trajectory, advice in advised])
+        driven, advice = map(list, zip(*advised, strict=True))
+        labelled = labelled.joined(Demonstrations.from_trajectories(driven, advice))
         before, theta = theta, fit(labelled)
-        driven = [trajectory for trajectory, _ in advised]
         yield DaggerState(iteration, theta, float(np.linalg.norm(theta - before)), labelled, driven)

@@ -14,10 +14,12 @@ from rail_sumo.config import first_difference, recorded
 from rail_sumo.errors import InputError
 from rail_sumo.files import whole_file
 from rail_sumo.policy import N_ACTIONS
-from rail_sumo.records import Floats, Trajectory
+from rail_sumo.records import Floats, MetaAction, Trajectory
 
 ACTION = "action"
 EPISODE = "episode"
+ALLOWED = tuple(f"allowed_{action.name.lower()}" for action in MetaAction)
+"""Columns that a file may lack: whether the driver was told that it may choose that meta-action."""
 
 METADATA_KEY = b"rail_sumo"
 """The file's metadata under this key is JSON: `features`, their names in order, and `about`, what they came from."""
@@ -33,7 +35,8 @@ class Demonstrations:
     reads them from a file see the same numbers.
 
     Raises:
-        ValueError: the three arrays do not fit together.
+        ValueError: the arrays do not fit together, an observation is not finite in float32, an action is no
+            `MetaAction`, or one that was not allowed.
     """
 
     observations: Floats
@@ -42,14 +45,36 @@ class Demonstrations:
     """(n,): the `MetaAction` carried out on each observation; KEEP where another was refused."""
     episode: NDArray[np.int64]
     """(n,): which episode each decision belongs to."""
+    allowed: NDArray[np.bool_] = None  # type: ignore[assignment]  # what is given; never None afterwards
+    """(n, 5): which meta-actions the driver was told it may choose; without it, all of them."""
 
     def __post_init__(self) -> None:
-        if self.observations.ndim != 2 or not len(self.observations) == len(self.actions) == len(self.episode):
+        observations = np.asarray(self.observations, dtype=np.float64)
+        actions, episode = np.asarray(self.actions), np.asarray(self.episode)
+        n, given = len(observations), "all" if self.allowed is None else np.shape(self.allowed)
+        allowed = np.ones((n, N_ACTIONS), np.bool_) if self.allowed is None else np.asarray(self.allowed)
+        shapes = actions.shape == episode.shape == (n,) and allowed.shape == (n, N_ACTIONS)
+        if observations.ndim != 2 or not shapes:
             raise ValueError(
-                f"demonstrations must have shapes (n, n_features), (n,) and (n,); "
-                f"got {self.observations.shape}, {self.actions.shape} and {self.episode.shape}"
+                f"demonstrations must have shapes (n, n_features), (n,), (n,) and (n, {N_ACTIONS}); "
+                f"got {observations.shape}, {actions.shape}, {episode.shape} and {given}"
             )
-        object.__setattr__(self, "observations", self.observations.astype(np.float32).astype(np.float64))
+        for name, numbers in (("actions", actions), ("episode", episode)):
+            if not np.issubdtype(numbers.dtype, np.integer):
+                raise ValueError(f"demonstrations' {name} must be integers; got {numbers.dtype}")
+        if allowed.dtype != np.bool_:
+            raise ValueError(f"demonstrations' allowed must be true or false; got {allowed.dtype}")
+        if not (np.abs(observations) <= np.finfo(np.float32).max).all():
+            raise ValueError("demonstrations' observations must be finite, and float32 must hold them")
+        strays = actions[(actions < 0) | (actions >= N_ACTIONS)]
+        if len(strays):
+            raise ValueError(f"demonstrations' actions must lie in 0..{N_ACTIONS - 1}; got {strays[0]}")
+        if not allowed[np.arange(n), actions].all():
+            raise ValueError("demonstrations hold an action that was not allowed")
+        object.__setattr__(self, "observations", observations.astype(np.float32).astype(np.float64))
+        object.__setattr__(self, "actions", actions.astype(np.int64))
+        object.__setattr__(self, "episode", episode.astype(np.int64))
+        object.__setattr__(self, "allowed", allowed)
 
     @property
     def n_episodes(self) -> int:
@@ -68,30 +93,42 @@ class Demonstrations:
                 f"set train.trajectories to 1..{self.n_episodes}, or record more with: rail-sumo expert record"
             )
         taken = np.isin(self.episode, np.unique(self.episode)[:n_episodes])
-        return Demonstrations(self.observations[taken], self.actions[taken], self.episode[taken])
+        return Demonstrations(self.observations[taken], self.actions[taken], self.episode[taken], self.allowed[taken])
 
-    def joined(self, driven: Sequence[tuple[Floats, NDArray[np.int64]]]) -> "Demonstrations":
-        """Return these and further episodes' observations and decisions, numbered on."""
-        first = int(self.episode.max()) + 1
-        observations, actions = zip(*driven, strict=True)
+    def joined(self, others: "Demonstrations") -> "Demonstrations":
+        """Return these and other episodes' decisions, those numbered on."""
         return Demonstrations(
-            np.concatenate([self.observations, *observations]),
-            np.concatenate([self.actions, *actions]),
-            np.concatenate([self.episode, np.repeat(np.arange(len(driven)) + first, list(map(len, actions)))]),
+            np.concatenate([self.observations, others.observations]),
+            np.concatenate([self.actions, others.actions]),
+            np.concatenate([self.episode, others.episode + self.episode.max() + 1]),
+            np.concatenate([self.allowed, others.allowed]),
         )
 
     @classmethod
-    def from_trajectories(cls, trajectories: Sequence[Trajectory]) -> "Demonstrations":
-        """Gather what was seen and carried out in driven episodes, at least one, and number them from 0."""
-        lengths = [len(trajectory.actions) for trajectory in trajectories]
+    def from_trajectories(
+        cls, trajectories: Sequence[Trajectory], decisions: Sequence[NDArray[np.int64]] | None = None
+    ) -> "Demonstrations":
+        """Gather what was seen and carried out in driven episodes, at least one, and number them from 0.
+
+        What was carried out counts as allowed, even if the driver did not heed what it was told.
+
+        Args:
+            trajectories: the episodes.
+            decisions: what another driver would have decided in each, which counts instead.
+        """
+        if decisions is None:
+            decisions = [trajectory.carried_out for trajectory in trajectories]
+        actions = np.concatenate(decisions)
         return cls(
             np.concatenate([trajectory.observations for trajectory in trajectories]),
-            np.concatenate([trajectory.carried_out for trajectory in trajectories]),
-            np.repeat(np.arange(len(trajectories)), lengths),
+            actions,
+            np.repeat(np.arange(len(trajectories)), list(map(len, decisions))),
+            np.concatenate([trajectory.allowed for trajectory in trajectories])
+            | np.eye(N_ACTIONS, dtype=np.bool_)[actions],
         )
 
     def save(self, path: Path, *, features: Sequence[str], about: Mapping[str, object]) -> None:
-        """Write a Parquet file: a float32 column per feature, `action` (int8) and `episode` (int32).
+        """Write a Parquet file: a float32 column per feature, `action` (int8), `episode` (int32), booleans `ALLOWED`.
 
         The file appears under its name only once it is whole, replacing what was there.
 
@@ -109,6 +146,7 @@ class Demonstrations:
             raise ValueError(f"features must name {n_features} columns; got {len(features)} names")
         columns = dict(zip(features, self.observations.astype(np.float32).T, strict=True))
         columns |= {ACTION: self.actions.astype(np.int8), EPISODE: self.episode.astype(np.int32)}
+        columns |= dict(zip(ALLOWED, self.allowed.T, strict=True))
         metadata = json.dumps({"features": list(features), "about": dict(about)})
         table = pa.table(columns).replace_schema_metadata({METADATA_KEY: metadata})
         with whole_file(path) as partial:
@@ -118,7 +156,7 @@ class Demonstrations:
     def load(
         cls, path: Path, *, features: Sequence[str], demonstrating: Mapping[str, object] | None = None
     ) -> "Demonstrations":
-        """Read a Parquet file that `save` wrote, or one with the same columns in any order.
+        """Read a Parquet file that `save` wrote, or one with the same columns in any order, maybe without `ALLOWED`.
 
         Args:
             path: where from.
@@ -128,8 +166,8 @@ class Demonstrations:
 
         Raises:
             InputError: no such file, not Parquet, damaged, without a row, recorded with another observation than
-                `features` or otherwise than `demonstrating`, or with a value that is missing, not finite or no
-                meta-action.
+                `features` or otherwise than `demonstrating`, or with a value that is missing, not finite, no
+                meta-action or one that was not allowed.
         """
         table = _read(path)
         _check_recording(path, table, demonstrating)
@@ -139,7 +177,16 @@ class Demonstrations:
         stray = actions[(actions < 0) | (actions >= N_ACTIONS)]
         if len(stray):
             raise InputError(f"{_named(path)} have an action {stray[0]}; actions are 0..{N_ACTIONS - 1}; {_AGAIN}")
-        return cls(observations, actions, _integers(path, table, EPISODE))
+        allowed = np.ones((len(actions), N_ACTIONS), np.bool_)
+        if ALLOWED[0] in table.column_names:
+            allowed = np.column_stack([_booleans(path, table, name) for name in ALLOWED])
+            ignored = ~allowed[np.arange(len(actions)), actions]
+            if ignored.any():
+                raise InputError(
+                    f"{_named(path)}: row {int(ignored.argmax())} has an action that its columns "
+                    f"{ALLOWED[0]}... do not allow; {_AGAIN}"
+                )
+        return cls(observations, actions, _integers(path, table, EPISODE), allowed)
 
 
 def _named(path: Path) -> str:
@@ -178,7 +225,11 @@ def _check_layout(path: Path, columns: Sequence[str], features: Sequence[str]) -
     for name in (ACTION, EPISODE):
         if name not in columns:
             raise InputError(f"{_named(path)} have no column '{name}'; {_AGAIN}")
-    given = [name for name in columns if name not in (ACTION, EPISODE)]
+    if any(name in columns for name in ALLOWED):
+        for name in ALLOWED:
+            if name not in columns:
+                raise InputError(f"{_named(path)} have no column '{name}', but others like it; {_AGAIN}")
+    given = [name for name in columns if name not in (ACTION, EPISODE, *ALLOWED)]
     if sorted(given) == sorted(features):
         return
     lacking = [name for name in features if name not in given]
@@ -212,3 +263,13 @@ def _integers(path: Path, table: pa.Table, name: str) -> NDArray[np.int64]:
             f"not {column.type} with {column.null_count} missing; {_AGAIN}"
         )
     return column.to_numpy().astype(np.int64)
+
+
+def _booleans(path: Path, table: pa.Table, name: str) -> NDArray[np.bool_]:
+    column = table[name]
+    if not pa.types.is_boolean(column.type) or column.null_count:
+        raise InputError(
+            f"{_named(path)}: column '{name}' must hold true or false in every row, "
+            f"not {column.type} with {column.null_count} missing; {_AGAIN}"
+        )
+    return column.to_numpy()

@@ -2,7 +2,7 @@
 
 Source: least-squares GAN (Mao et al. 2017) in Shin & Kim (IJCAI 2019), with one change. Their D is linear, so that
 some of its outputs leave (0, 1), where log D - log(1 - D) is undefined and a clamp decides the reward. Ours ends in a
-sigmoid, which makes that reward the network's own output, the logit.
+sigmoid, which makes that reward the network's own output, the logit. Other losses: `losses`.
 """
 
 from collections.abc import Mapping, Sequence
@@ -14,36 +14,37 @@ import torch
 from numpy.typing import NDArray
 from torch import Tensor
 
-from rail_sumo import config
+from rail_sumo import config, registry
 from rail_sumo.imitation.demonstrations import Demonstrations
+from rail_sumo.imitation.losses import LOSSES
 from rail_sumo.imitation.perceptron import load_training_state, perceptron, single_threaded, training_state
 from rail_sumo.policy import N_ACTIONS, Whitening
 from rail_sumo.records import Floats, Trajectory
 
-EXPERT_LABEL = 1.0
-LEARNER_LABEL = 0.0
-
 
 @dataclass(frozen=True)
-class JudgeLoss:
-    """How well the judge tells expert and learner apart after a fit."""
+class Fit:
+    """What a fit of the judge came to."""
 
     loss: float
-    """Least-squares loss; 0.25 when they look the same, 0.0 when nothing is in doubt."""
+    """Mean over the fit's minibatches of what the judge minimises."""
     expert_mean: float
-    """Mean of D over the expert's pairs."""
+    """Mean of D over all of the expert's pairs, after the fit."""
     learner_mean: float
-    """Mean of D over the learner's pairs."""
+    """Mean of D over all of the learner's pairs, after the fit."""
 
 
-class Judge:
-    """D(observation, action) in (0, 1), the expert's label at 1.
+class Discriminator:
+    """D(observation, action), 1 for the expert and 0 for the learner.
 
     Args:
         whitening: observations are centred and scaled by it before they are judged.
-        settings: network, training and reward.
+        settings: network, loss, training and reward.
         seed: of the first weights; all other chance is handed to `fit`.
         horizon_decisions: decisions in a rollout that nothing cuts short; see `returns`.
+
+    Raises:
+        InputError: there is no such loss.
     """
 
     def __init__(self, whitening: Whitening, settings: config.Judge, seed: int, horizon_decisions: int) -> None:
@@ -51,43 +52,46 @@ class Judge:
         self._whitening = whitening
         self._settings = settings
         self._horizon_decisions = horizon_decisions
-        self._logit = perceptron([len(whitening.mean) + N_ACTIONS, *settings.hidden, 1], rng)
-        self._adam = torch.optim.Adam(self._logit.parameters(), lr=settings.learning_rate)
+        self._loss = registry.find("loss", settings.loss, LOSSES)
+        self._network = perceptron([len(whitening.mean) + N_ACTIONS, *settings.hidden, 1], rng)
+        self._adam = torch.optim.Adam(self._network.parameters(), lr=settings.learning_rate)
 
     @single_threaded()
-    def fit(self, expert: Demonstrations, learner: Sequence[Trajectory], rng: np.random.Generator) -> JudgeLoss:
+    def fit(self, expert: Demonstrations, learner: Sequence[Trajectory], rng: np.random.Generator) -> Fit:
         """Train on minibatches of `batch_size` pairs from either side, drawn with replacement.
 
         Args:
             expert: what was demonstrated.
             learner: the iteration's rollouts.
-            rng: draws the minibatches.
+            rng: draws the minibatches, and whatever the loss draws.
         """
         expert_pairs = self._pairs(expert.observations, expert.actions)
         learner_pairs = self._pairs(*_decisions(learner))
+        losses = []
         for _ in range(self._settings.minibatches):
             expert_batch = _draw(expert_pairs, self._settings.batch_size, rng)
             learner_batch = _draw(learner_pairs, self._settings.batch_size, rng)
-            loss = self._loss(expert_batch, learner_batch)
+            loss = self._loss.minimised(self._outputs, expert_batch, learner_batch, rng)
             self._adam.zero_grad()
             loss.backward()
             self._adam.step()
+            losses.append(loss.item())
 
         with torch.inference_mode():
-            on_expert, on_learner = self._judge(expert_pairs), self._judge(learner_pairs)
-        return JudgeLoss(least_squares(on_expert, on_learner).item(), on_expert.mean().item(), on_learner.mean().item())
+            means = [self._loss.verdict(self._outputs(pairs)).mean().item() for pairs in (expert_pairs, learner_pairs)]
+        return Fit(float(np.mean(losses)), *means)
 
     @single_threaded()
     def rewards(self, observations: Floats, actions: NDArray[np.int64]) -> Floats:
-        """Return log D - log(1 - D), clipped at ±reward_clip, of each of n pairs.
+        """Return the loss's reward, clipped at ±reward_clip, of each of n pairs; by default log D - log(1 - D).
 
         Args:
             observations: shape (n, n_features).
             actions: shape (n,).
         """
         with torch.inference_mode():
-            logits = self._logit(self._pairs(observations, actions))[:, 0]
-        return logits.numpy().astype(np.float64).clip(-self._settings.reward_clip, self._settings.reward_clip)
+            rewards = self._loss.reward(self._outputs(self._pairs(observations, actions)))
+        return rewards.numpy().astype(np.float64).clip(-self._settings.reward_clip, self._settings.reward_clip)
 
     def returns(self, trajectories: Sequence[Trajectory]) -> Floats:
         """Return each rollout's mean reward per decision, shape (n_trajectories,).
@@ -111,7 +115,7 @@ class Judge:
 
     def state(self) -> dict[str, NDArray[Any]]:
         """Return copies of all that a later fit depends on: weights and Adam's moments."""
-        return training_state(self._logit, self._adam)
+        return training_state(self._network, self._adam)
 
     def load_state(self, state: Mapping[str, NDArray[Any]]) -> None:
         """Go on from what `state` returned.
@@ -120,29 +124,21 @@ class Judge:
             KeyError: a weight is missing.
             ValueError: a weight has another shape than this judge's.
         """
-        load_training_state(self._logit, self._adam, state)
+        load_training_state(self._network, self._adam, state)
 
     def _pairs(self, observations: Floats, actions: NDArray[np.int64]) -> Tensor:
         """Return the network's inputs, shape (n, n_features + 5): whitened observation, one-hot action."""
         pairs = np.hstack([self._whitening(observations), np.eye(N_ACTIONS)[actions]])
         return torch.from_numpy(pairs.astype(np.float32))
 
-    def _judge(self, pairs: Tensor) -> Tensor:
-        return torch.sigmoid(self._logit(pairs)[:, 0])
-
-    def _loss(self, expert: Tensor, learner: Tensor) -> Tensor:
-        return least_squares(self._judge(expert), self._judge(learner))
+    def _outputs(self, pairs: Tensor) -> Tensor:
+        return self._network(pairs)[:, 0]
 
     def _return(self, rewards: Floats, *, crashed: bool) -> float:
         if not crashed:
             return float(rewards.mean())
         absorbed = max(self._horizon_decisions - len(rewards), 1)
         return float((rewards.sum() - self._settings.reward_clip * absorbed) / (len(rewards) + absorbed))
-
-
-def least_squares(on_expert: Tensor, on_learner: Tensor) -> Tensor:
-    """Return the discriminator's least-squares loss from D on either side (Algorithm 1, lines 8 and 9)."""
-    return 0.5 * (on_expert - EXPERT_LABEL).square().mean() + 0.5 * (on_learner - LEARNER_LABEL).square().mean()
 
 
 def _draw(pairs: Tensor, n: int, rng: np.random.Generator) -> Tensor:
@@ -152,8 +148,8 @@ def _draw(pairs: Tensor, n: int, rng: np.random.Generator) -> Tensor:
 def _decisions(trajectories: Sequence[Trajectory]) -> tuple[Floats, NDArray[np.int64]]:
     """Return what was seen and carried out in all of them, end to end.
 
-    An expert that is masked never asks for what would be refused. Were the learner judged by what it asks for, lane
-    changes that were refused would count as such, and it would have to drive with fewer than the expert.
+    The expert's data hold no refused lane changes. If refused requests counted as lane changes, an unmasked learner
+    would be pushed below the expert's number.
     """
     if not all(len(trajectory.actions) for trajectory in trajectories):
         raise ValueError("a rollout must have at least one decision to be judged by")

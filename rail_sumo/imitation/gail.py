@@ -1,7 +1,8 @@
 """Generative adversarial imitation learning: the judge of RAIL, and PPO's gradients in place of random search.
 
 Source: Ho & Ermon, "Generative adversarial imitation learning" (NeurIPS 2016), with PPO (Schulman et al. 2017) from
-stable-baselines3 in place of TRPO, as in the paper's comparison.
+sb3-contrib in place of TRPO, as in the paper's comparison. A masked policy is updated over the actions that it was
+told it may choose.
 """
 
 import itertools
@@ -14,14 +15,14 @@ import numpy as np
 import torch
 from gymnasium import spaces
 from numpy.typing import NDArray
-from stable_baselines3 import PPO
-from stable_baselines3.common.buffers import RolloutBuffer
+from sb3_contrib import MaskablePPO
+from sb3_contrib.common.maskable.buffers import MaskableRolloutBuffer
 from stable_baselines3.common.logger import Logger
 
 from rail_sumo import config
 from rail_sumo.errors import InputError
 from rail_sumo.imitation.demonstrations import Demonstrations
-from rail_sumo.imitation.discriminator import JudgeLoss
+from rail_sumo.imitation.discriminator import Fit
 from rail_sumo.imitation.perceptron import actor, flatten, load_training_state, seeded, single_threaded, training_state
 from rail_sumo.policy import N_ACTIONS, Shape, Whitening, unflatten
 from rail_sumo.records import Floats, Trajectory
@@ -32,10 +33,10 @@ Sample = Callable[[Floats, int], list[Trajectory]]
 _Columns = tuple[NDArray[Any], ...]
 
 
-class Judge(Protocol):
-    """Whoever tells expert and learner apart."""
+class DecisionJudge(Protocol):
+    """What tells expert and learner apart, decision by decision."""
 
-    def fit(self, expert: Demonstrations, learner: Sequence[Trajectory], rng: np.random.Generator) -> JudgeLoss:
+    def fit(self, expert: Demonstrations, learner: Sequence[Trajectory], rng: np.random.Generator) -> Fit:
         """Learn to tell them apart a little better."""
 
     def rewards(self, observations: Floats, actions: NDArray[np.int64]) -> Floats:
@@ -51,13 +52,19 @@ class GailState:
     """The policy after the update."""
     step_norm: float
     """How far theta moved."""
-    judge_loss: JudgeLoss
+    judge_fit: Fit
     driven: list[Trajectory]
-    """The rollouts it was decided by, from before the update."""
+    """The rollouts that this update used."""
 
 
 def train(
-    ppo: "Ppo", demonstrations: Demonstrations, *, judge: Judge, sample: Sample, seed: int, first_iteration: int = 1
+    ppo: "Ppo",
+    demonstrations: Demonstrations,
+    *,
+    judge: DecisionJudge,
+    sample: Sample,
+    seed: int,
+    first_iteration: int = 1,
 ) -> Iterator[GailState]:
     """Run GAIL, yielding a `GailState` after every iteration, without end.
 
@@ -74,14 +81,14 @@ def train(
         rng = np.random.default_rng(np.random.SeedSequence(seed, spawn_key=(*b"gail", iteration)))
         before = ppo.theta()
         driven = sample(before, iteration)
-        judge_loss = judge.fit(expert=demonstrations, learner=driven, rng=rng)
+        judge_fit = judge.fit(expert=demonstrations, learner=driven, rng=rng)
         ppo.update(driven, judge.rewards, rng)
         theta = ppo.theta()
-        yield GailState(iteration, theta, float(np.linalg.norm(theta - before)), judge_loss, driven)
+        yield GailState(iteration, theta, float(np.linalg.norm(theta - before)), judge_fit, driven)
 
 
 class Ppo:
-    """Actor, critic and update of stable-baselines3's PPO, on rollouts that were driven elsewhere.
+    """Actor, critic and update of sb3-contrib's MaskablePPO, on rollouts that were driven elsewhere.
 
     Args:
         theta: the policy to start from, shape (shape.size,).
@@ -104,10 +111,11 @@ class Ppo:
     ) -> None:
         self._whitening = whitening
         self._lowest_reward = lowest_reward
+        self._batch_size = settings.batch_size
         hidden = [] if shape.hidden is None else [shape.hidden]
         rng = np.random.default_rng(np.random.SeedSequence(seed, spawn_key=tuple(b"gail")))
         with seeded(rng):
-            self._ppo = PPO(
+            self._ppo = MaskablePPO(
                 "MlpPolicy",
                 _Spaces(shape.n_features),
                 learning_rate=settings.learning_rate,
@@ -142,8 +150,8 @@ class Ppo:
     ) -> None:
         """Improve the policy by rollouts of its own.
 
-        A rollout's last observation stands for all that would follow, at the critic's word, and its last decision is
-        left out: the horizon cut it short. Not so after a collision.
+        A rollout that the horizon cut short is bootstrapped with the critic's value of its last observation; the last
+        decision, whose successor is unknown, is dropped. After a collision nothing is dropped.
 
         Args:
             driven: rollouts of the policy; one of a single decision tells nothing.
@@ -154,12 +162,13 @@ class Ppo:
             InputError: none of the rollouts tells anything.
         """
         parts = [self._valued(trajectory, rewards) for trajectory in driven]
-        observations, actions, earned, starts, values, log_probs = (
-            np.concatenate(column) for column in zip(*parts, strict=True)
-        )
+        columns = [np.concatenate(column) for column in zip(*parts, strict=True)]
+        if len(columns[0]) % self._batch_size == 1:  # a minibatch of one, whose advantages have no spread
+            columns = [column[1:] for column in columns]
+        observations, actions, allowed, earned, starts, values, log_probs = columns
         if not len(actions):
             raise InputError("no rollout came to two decisions, which GAIL learns from; set a longer train.horizon_s")
-        buffer = RolloutBuffer(
+        buffer = MaskableRolloutBuffer(
             len(actions),
             self._ppo.observation_space,
             self._ppo.action_space,
@@ -169,6 +178,7 @@ class Ppo:
         )
         buffer.observations[:, 0], buffer.actions[:, 0, 0], buffer.rewards[:, 0] = observations, actions, earned
         buffer.episode_starts[:, 0], buffer.values[:, 0], buffer.log_probs[:, 0] = starts, values, log_probs
+        buffer.action_masks[:, 0] = allowed
         buffer.pos, buffer.full = len(actions), True
         # The stream ends with a rollout's end: nothing follows that has not been added to its last reward.
         buffer.compute_returns_and_advantage(torch.zeros(1), dones=np.ones(1))
@@ -193,17 +203,20 @@ class Ppo:
         return actor(self._ppo.policy)
 
     def _valued(self, trajectory: Trajectory, rewards: Callable[[Floats, NDArray[np.int64]], Floats]) -> _Columns:
-        """Return the buffer's columns of a rollout: observation, action, reward, start, value, log-probability."""
+        """Return the buffer's columns: observation, action, mask, reward, start, value, log-probability."""
         observations = torch.from_numpy(self._whitening(trajectory.observations).astype(np.float32))
         with torch.no_grad():
-            values, log_probs, _ = self._ppo.policy.evaluate_actions(observations, torch.from_numpy(trajectory.actions))
+            values, log_probs, _ = self._ppo.policy.evaluate_actions(
+                observations, torch.from_numpy(trajectory.actions), action_masks=torch.from_numpy(trajectory.allowed)
+            )
         earned = rewards(trajectory.observations, trajectory.carried_out)
         starts = np.arange(len(earned)) == 0
-        columns = (observations.numpy(), trajectory.actions, earned, starts, values.numpy()[:, 0], log_probs.numpy())
+        decided = (observations.numpy(), trajectory.actions, trajectory.allowed)
+        columns = (*decided, earned, starts, values.numpy()[:, 0], log_probs.numpy())
         if trajectory.end_reason == "collision":
             earned[-1] += self._ppo.gamma / (1 - self._ppo.gamma) * self._lowest_reward
             return columns
-        earned[-2:-1] += self._ppo.gamma * columns[4][-1]
+        earned[-2:-1] += self._ppo.gamma * values.numpy()[-1, 0]
         return tuple(column[:-1] for column in columns)
 
 

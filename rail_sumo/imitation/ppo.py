@@ -90,7 +90,7 @@ def train(
         model = MaskablePPO(
             "MlpPolicy",
             env,
-            # What is left is counted after an update's decisions: without its share, the last would learn nothing.
+            # SB3 reports 0 progress left in the last update; one update's share is added, so that its rate is not 0.
             learning_rate=lambda left: expert.learning_rate * (left + 1 / expert.updates),
             n_steps=expert.decisions_per_update,
             batch_size=expert.batch_size,

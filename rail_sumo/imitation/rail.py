@@ -13,16 +13,16 @@ from rail_sumo.imitation.random_search import RandomSearch
 from rail_sumo.records import Floats, Trajectory
 
 if TYPE_CHECKING:  # its home imports torch, and the algorithm needs none
-    from rail_sumo.imitation.discriminator import JudgeLoss
+    from rail_sumo.imitation.discriminator import Fit
 
 Evaluate = Callable[[Floats, Floats, int], tuple[list[Trajectory], list[Trajectory]]]
 """(theta, perturbations, iteration) -> rollouts of theta plus each perturbation, and of theta minus each."""
 
 
 class Judge(Protocol):
-    """Whoever tells expert and learner apart."""
+    """What tells expert and learner apart, rollout by rollout."""
 
-    def fit(self, expert: Demonstrations, learner: Sequence[Trajectory], rng: np.random.Generator) -> "JudgeLoss":
+    def fit(self, expert: Demonstrations, learner: Sequence[Trajectory], rng: np.random.Generator) -> "Fit":
         """Learn to tell them apart a little better."""
 
     def returns(self, trajectories: Sequence[Trajectory]) -> Floats:
@@ -37,13 +37,13 @@ class RailState:
     theta: Floats
     """The policy after the step."""
     step_norm: float
-    """How far theta moved; 0.0 where the judge saw no difference."""
-    judge_loss: "JudgeLoss"
+    """How far theta moved; 0.0 where all returns were the same."""
+    judge_fit: "Fit"
     mean_return: float
-    """Of all rollouts, by that judge."""
+    """Of all rollouts of this update, by the judge after its fit."""
     plus: list[Trajectory]
     minus: list[Trajectory]
-    """The rollouts it was decided by, from before the step: a pair per direction."""
+    """The perturbed rollouts that this update used: a pair per direction."""
 
 
 def train(
@@ -58,9 +58,10 @@ def train(
 ) -> Iterator[RailState]:
     """Run RAIL, yielding a `RailState` after every iteration, without end.
 
-    It differs from the printed algorithm in line 14, which moves the whitening with the states met so far. Theta was
-    cloned under the whitening of the demonstrations, and under another its weights would mean another policy; so the
-    whitening is part of the policy and stays frozen.
+    It differs from the printed algorithm in line 14, which moves the whitening with the states met so far: the cloned
+    weights are valid only with the whitening they were trained under, so that stays as it is. The first line's loop
+    ends with an episode in print; here it is over iterations, and whoever calls ends it. Line 2 scales the directions
+    by nu twice in print; here once. README lists what else differs.
 
     Args:
         theta: the cloned policy, shape (size,).
@@ -83,7 +84,7 @@ def train(
         rng = np.random.default_rng(np.random.SeedSequence(seed, spawn_key=(*b"rail", iteration)))
         deltas = ars.ask(rng)  # line 2
         plus, minus = evaluate(ars.theta, ars.noise_std * deltas, iteration)  # lines 3-6: same traffic for both
-        judge_loss = judge.fit(expert=demonstrations, learner=plus + minus, rng=rng)  # lines 7-9, least squares
+        judge_fit = judge.fit(expert=demonstrations, learner=plus + minus, rng=rng)  # lines 7-9, least squares
         returns = judge.returns(plus), judge.returns(minus)  # one frozen judge for all
         step_norm = ars.tell(deltas, *returns)  # lines 10-13
-        yield RailState(iteration, ars.theta.copy(), step_norm, judge_loss, float(np.mean(returns)), plus, minus)
+        yield RailState(iteration, ars.theta.copy(), step_norm, judge_fit, float(np.mean(returns)), plus, minus)

@@ -1,11 +1,11 @@
-"""A judge that also pays what driving is worth: what RAIL learns from it is no longer imitation alone."""
+"""A judge that adds the environment's reward to its own: what RAIL learns from it is no longer imitation alone."""
 
 from collections.abc import Callable, Sequence
 
 import numpy as np
 
 from rail_sumo.imitation.demonstrations import Demonstrations
-from rail_sumo.imitation.discriminator import JudgeLoss
+from rail_sumo.imitation.discriminator import Fit
 from rail_sumo.imitation.rail import Judge
 from rail_sumo.records import Floats, Trajectory
 
@@ -28,15 +28,15 @@ class Rewarded:
         self._reward = reward
         self._horizon_decisions = horizon_decisions
 
-    def fit(self, expert: Demonstrations, learner: Sequence[Trajectory], rng: np.random.Generator) -> JudgeLoss:
-        """Have the judge learn; the reward is what it is."""
+    def fit(self, expert: Demonstrations, learner: Sequence[Trajectory], rng: np.random.Generator) -> Fit:
+        """Train the judge."""
         return self._judge.fit(expert, learner, rng)
 
     def returns(self, trajectories: Sequence[Trajectory]) -> Floats:
         """Return the judge's return of each rollout plus its weighted reward per decision, shape (n_trajectories,).
 
-        After a collision nothing more is gained up to the horizon, while a loss goes on as it was: cutting a rollout
-        short must not pay.
+        After a collision a positive sum of rewards is divided by the full horizon, a negative one by the decisions taken:
+        cutting a rollout short must not pay.
         """
         earned = np.array(list(map(self._per_decision, trajectories)))
         return self._judge.returns(trajectories) + self._weight * earned

@@ -1,0 +1,99 @@
+"""What docs/extending.md shows is run as it stands, only shorter."""
+
+import os
+import re
+import subprocess
+import sys
+from pathlib import Path
+
+import numpy as np
+import pandas as pd
+import pytest
+from safetensors.numpy import load_file
+
+from rail_sumo import registry, training
+from rail_sumo.config import load
+from rail_sumo.errors import InputError
+from rail_sumo.imitation.losses import LOSSES
+from rail_sumo.records import MetaAction
+from rail_sumo.run_directory import RunDirectory
+
+DOCUMENT = Path(__file__).parent.parent.joinpath("docs", "extending.md").read_text(encoding="utf-8")
+BRIEF = ["train.iterations=2", "train.horizon_s=10", "train.evaluation_episodes=1", "episode.duration_s=10"]
+
+
+@pytest.fixture
+def shown(tmp_path):
+    """The folder of the files shown, and the commands."""
+    for name, text in re.findall(r"```python\n# (\w+\.py)\n(.*?)```", DOCUMENT, re.DOTALL):
+        (tmp_path / name).write_text(text.replace("N_ELITE, NOISE_STD = 32, 8,", "N_ELITE, NOISE_STD = 4, 2,"))
+    return tmp_path, re.findall(r"rail-sumo (train .*)", DOCUMENT)
+
+
+def run(folder, *command):
+    environment = os.environ | {"PYTHONPATH": str(folder)}
+    finished = subprocess.run(
+        [sys.executable, *command], cwd=folder, env=environment, capture_output=True, text=True, check=False
+    )
+    assert finished.returncode == 0, finished.stderr
+
+
+def rail_sumo(folder, command, *more):
+    brief = [part for override in BRIEF for part in ("--set", override)]
+    run(folder, "-c", "from rail_sumo import cli; cli.main()", *command.split(), *brief, *more)
+
+
+@pytest.mark.slow
+def test_the_learner_shown_learns_in_workers_and_is_resumed_to_the_same_policy(shown):
+    folder, (command, *_) = shown
+    rail_sumo(folder, command, "--workers", "2")
+    progress = pd.read_csv(folder / "runs" / "cem" / "progress.csv")
+    assert progress[["mean_return", "judge_loss", "speed_kmh"]].notna().all(axis=None)
+    policy, clone = (load_file(folder / "runs" / "cem" / f"{name}.safetensors") for name in ("policy", "clone"))
+    assert (policy["theta"] != clone["theta"]).any()
+    again = command.replace("runs/cem", "runs/again")
+    rail_sumo(folder, again, "--workers", "1", "--set", "train.iterations=1")
+    rail_sumo(folder, again, "--workers", "1", "--resume")
+    assert (load_file(folder / "runs" / "again" / "policy.safetensors")["theta"] == policy["theta"]).all()
+
+
+@pytest.mark.slow
+def test_the_loss_shown_is_what_the_judge_minimises_and_the_log_tells(shown):
+    folder, (_, command, _) = shown
+    rail_sumo(folder, command, "--set", "judge.minibatches=300", "--set", "judge.learning_rate=0.01")
+    loss = pd.read_csv(folder / "runs" / "linear-judge" / "progress.csv")["judge_loss"]
+    rail_sumo(folder, command.replace("linear_judge:LINEAR", "cross-entropy").replace("-judge", "-other"))
+    other = pd.read_csv(folder / "runs" / "linear-other" / "progress.csv")["judge_loss"]
+    assert loss.max() < 0.26  # of squares, with labels 1 and 0: 0.25 where the two look the same
+    assert other.min() > 0.6  # of logarithms: 0.69
+
+
+@pytest.mark.slow
+def test_the_demonstrations_shown_are_learned_from(shown):
+    folder, (*_, command) = shown
+    run(folder, "mine.py")
+    rail_sumo(folder, f"{command} --set train.learner=bc --out runs/mine", "--set", "train.iterations=0")
+    policy = RunDirectory(folder / "runs" / "mine").policy(load()).policy()
+    assert policy(np.zeros(48)) == MetaAction.ACCELERATE  # all it was shown
+
+
+@pytest.mark.parametrize(
+    ("name", "message"),
+    [
+        (
+            "rial",
+            r"learner 'rial' not found; did you mean 'rail'\? \(available: ars, bc, .*; one from outside is written",
+        ),
+        ("nowhere:X", r"learner 'nowhere:X': No module named 'nowhere'; install it, or add its folder to PYTHONPATH"),
+        ("math:X", r"learner 'math:X': module 'math' has no 'X'"),
+        ("math:pi", r"learner 'math:pi' must be a rail_sumo\.training\.Learner; it is a float"),
+    ],
+)
+def test_what_is_no_learner_is_refused_in_one_line(name, message):
+    with pytest.raises(InputError, match=f"^{message}"):
+        training.learner_of(load(None, [f"train.learner={name}"]))
+
+
+def test_what_is_known_by_name_is_found_without_importing_anything():
+    for name, loss in LOSSES.items():
+        assert registry.find("loss", name, LOSSES) is loss
