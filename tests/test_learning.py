@@ -10,7 +10,8 @@ from rail_sumo.imitation.discriminator import Discriminator
 pytestmark = pytest.mark.xdist_group("learning")  # `by_its_judge` is trained once
 
 SHORT = (
-    "cloning.epochs=20",  # a clone that leaves something to gain
+    "policy.masked=false",  # a masked clone drives as its expert does already
+    "cloning.epochs=20",  # and so does an unmasked one nearly, if cloned for long
     "train.iterations=60",  # with 30, chance alone is worth two thirds as much on so short-sighted a clone
     "search.n_directions=8",
     "train.evaluation_episodes=48",
@@ -23,7 +24,7 @@ def gains_kmh(folder):
     """Train, and return the gain in speed on the clone in every held-out episode."""
     episodes, _ = run.train(config.load(None, SHORT), folder, seed=0, workers=2)
     speeds = episodes.pivot(index="seed", columns="policy", values="speed_kmh")
-    return (speeds["rail"] - speeds["clone"]).to_numpy()
+    return (speeds["rail"] - speeds["clone, argmax"]).to_numpy()
 
 
 @pytest.fixture(scope="module")

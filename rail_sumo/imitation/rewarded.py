@@ -35,8 +35,8 @@ class Rewarded:
     def returns(self, trajectories: Sequence[Trajectory]) -> Floats:
         """Return the judge's return of each rollout plus its weighted reward per decision, shape (n_trajectories,).
 
-        After a collision a positive sum of rewards is divided by the full horizon, a negative one by the decisions taken:
-        cutting a rollout short must not pay.
+        After a collision a positive sum of rewards is divided by the full horizon, a negative one by the decisions
+        taken: cutting a rollout short must not pay.
         """
         earned = np.array(list(map(self._per_decision, trajectories)))
         return self._judge.returns(trajectories) + self._weight * earned
