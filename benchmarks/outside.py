@@ -3,9 +3,10 @@
     imitation/bin/python benchmarks/outside.py [--seeds 3] [--rounds 40]
 
 The demonstrations, the network, the whitening, the judge's minibatches and the rollouts' length are ours, and a round
-has about as many decisions; all else is as that library has it by default. One difference is a handicap: its judge sees
-the lane changes that the learner asks for, ours those that are carried out (docs/learning.md tells what that does). It
-pins an old gymnasium, and so wants an environment of its own; the README beside this tells how to make it.
+has about as many decisions; all else is as that library has it by default. It knows no masks: all policies but one are
+unmasked. One difference is a handicap: its judge sees the lane changes that the learner asks for, ours those that are
+carried out (docs/learning.md tells what that does). Every policy is driven in both modes. The library pins an old
+gymnasium, and so wants an environment of its own; the README beside this tells how to make it.
 """
 
 import argparse
@@ -70,7 +71,15 @@ def taught(world, demonstrations, seed: int, rounds: int) -> dict[str, PolicyPar
     """Return the drivers that the two libraries learn from the same demonstrations."""
     whitening = Whitening.of(demonstrations.observations)
     shape = Shape(len(feature_names(world.lidar, world.observation)), world.policy.hidden)
-    our_clone = PolicyParameters(ours.clone(demonstrations, shape, whitening, world.cloning, seed), shape, whitening)
+    our_clone, our_masked = (
+        PolicyParameters(
+            ours.clone(demonstrations, shape, whitening, world.cloning, seed, masked=masked),
+            shape,
+            whitening,
+            masked=masked,
+        )
+        for masked in (False, True)
+    )
     quiet = logger.configure(None, format_strs=[])
     shown = transitions(demonstrations, whitening)
     practice = world.practice(world.train.horizon_s)
@@ -112,10 +121,16 @@ def taught(world, demonstrations, seed: int, rounds: int) -> dict[str, PolicyPar
     )
     trainer.train(rounds * ppo.n_steps)
     venv.close()
-    return {
+    policies = {
+        "cloning, ours, masked": our_masked,
         "cloning, ours": our_clone,
         "cloning, imitation": their_clone,
         f"GAIL, imitation, {rounds} rounds": learned(ppo.policy, our_clone),
+    }
+    return {
+        f"{name}, {mode}": replace(policy, samples=mode == "sampled")
+        for name, policy in policies.items()
+        for mode in ("argmax", "sampled")
     }
 
 

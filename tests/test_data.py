@@ -1,0 +1,49 @@
+"""The documents' figures are those of the cells in docs/data."""
+
+import re
+from pathlib import Path
+
+import claims
+import pytest
+
+from rail_sumo import reproduce
+from rail_sumo.experiment import SYSTEMS
+
+ROOT = Path(__file__).parent.parent
+CELLS = ROOT / "docs" / "data" / "cells.parquet"
+
+
+def test_the_table_kept_is_what_the_cells_come_to(tmp_path):
+    reproduce.table1_of(CELLS, tmp_path)
+    assert (tmp_path / "table1.md").read_text() == (ROOT / "docs" / "data" / "table1.md").read_text()
+
+
+def test_the_readmes_table_is_that_of_the_cells():
+    measured = claims.ratios(reproduce.read_cells(CELLS)).set_index(["", "mode", "shown"])
+    told = re.findall(
+        r"^\| ([^|]+) \| (argmax|sampled|)\s*\| (\d+) \| (\d+) \| (.*) \|$", readme_section(), re.MULTILINE
+    )
+    assert len(told) > 5
+    for label, mode, shown, trainings, figures in told:
+        row = measured.loc[(label, mode, int(shown))]
+        names = ["speed_kmh", "overtakes", "lane_changes", "refused", "told apart"]
+        assert figures.split(" | ") == [row[name] for name in names], (label, mode)
+        assert row["seeds"] == int(trainings)
+
+
+def readme_section():
+    text = (ROOT / "README.md").read_text(encoding="utf-8")
+    return text.partition("## How far it gets")[2].partition("\n## ")[0]
+
+
+def test_nobody_was_hit():
+    cells = reproduce.read_cells(CELLS)
+    assert not cells[["collisions", "struck"]].any(axis=None)
+    assert set(cells["system"]) <= SYSTEMS.keys()
+
+
+@pytest.mark.parametrize("document", ["README.md", "docs/paper.md", "docs/reproduce.md", "docs/learning.md"])
+def test_files_that_documents_name_are_there(document):
+    folder = (ROOT / document).parent
+    for link in re.findall(r"\]\(([^)#:]+)(?:#[^)]*)?\)", (ROOT / document).read_text(encoding="utf-8")):
+        assert (folder / link).exists(), link
