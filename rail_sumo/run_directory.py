@@ -222,7 +222,7 @@ def _read_driver(path: Path) -> tuple[PolicyParameters, Tensors, dict[str, Any]]
     try:
         shape = Shape(len(about["features"]), about["hidden"])
         whitening = Whitening(tensors.pop("whitening_mean"), tensors.pop("whitening_std"))
-        acts = {"samples": about["samples"], "masked": about["masked"]}
+        acts = {name: about.get(name, False) for name in ("samples", "masked")}  # files from before these were there
         driver = PolicyParameters(tensors.pop("theta"), shape, whitening, **acts)
         driver.policy()
     except (KeyError, TypeError, ValueError) as error:

@@ -1,5 +1,6 @@
 """Training runs on rollouts made up from the task, so that hundreds of them take no time; SUMO drives in a few."""
 
+import json
 import math
 import multiprocessing
 import os
@@ -508,3 +509,26 @@ def test_what_is_read_is_known_by_its_content(small, tmp_path):
 def test_the_horizon_in_decisions_depends_on_their_pace(period_s, decisions):
     world = config.load(None, [f"episode.decision_period_s={period_s}"])
     assert training.horizon_decisions(world) == decisions
+
+
+def test_how_a_policy_acts_is_kept_in_its_run_and_may_be_changed_for_a_look(small, driven, tmp_path):
+    for learner, samples in (("rail", False), ("gail", True)):
+        for masked in (False, True):
+            folder = tmp_path / f"{learner}-{masked}"
+            run.train(small.changed(train={"learner": learner}, policy={"masked": masked}), folder, seed=1)
+            kept = run.find_driver(str(folder), small)
+            assert (kept.samples, kept.masked) == (samples, masked)
+            assert RunDirectory(folder).config.policy.mode == ("sampled" if samples else "argmax")
+            for mode in ("argmax", "sampled"):
+                assert run.find_driver(str(folder), small, mode).samples == (mode == "sampled")
+
+
+def test_a_policy_from_before_it_said_how_it_acts_acts_as_it_did(trained, small):
+    path = trained / POLICY
+    with safe_open(path, framework="numpy") as file:
+        about = json.loads(file.metadata()["rail_sumo"])
+    for name in ("samples", "masked"):
+        del about[name]
+    save_file(load_file(path), path, metadata={"rail_sumo": json.dumps(about)})
+    kept = run.find_driver(str(trained), small)
+    assert (kept.samples, kept.masked) == (False, False)
