@@ -16,7 +16,7 @@ import pandas as pd
 from rail_sumo import config, report, statistics, training
 from rail_sumo.experiment import ARGMAX, SAMPLED, SYSTEMS
 from rail_sumo.records import MetaAction
-from rail_sumo.reproduce import compare, read_cells, scores
+from rail_sumo.reproduce import compare, read_cells, scores, with_interval
 
 PAIRS = (
     (("rail-2", ARGMAX), ("bc-2", ARGMAX)),
@@ -43,12 +43,12 @@ def ratios(cells: pd.DataFrame) -> pd.DataFrame:
             continue
         table = compare(pd.concat([driven, driven_by_expert])).set_index(["system", "metric"])
         of_the_expert = {
-            metric: "{ratio:.3f} ({ratio_low:.3f} to {ratio_high:.3f})".format_map(table.loc[(system, metric)])
+            metric: with_interval(*table.loc[(system, metric), ["ratio", "ratio_low", "ratio_high"]])
             for metric in (*METRICS, "lateral_reward")
         }
-        told = {"refused": "refused_decisions", "told apart": "told_apart"}
         figures = {
-            name: "{mean:.2f} ({low:.2f} to {high:.2f})".format_map(table.loc[(system, told[name])]) for name in told
+            name: with_interval(*table.loc[(system, metric), ["mean", "low", "high"]], decimals)
+            for name, metric, decimals in (("refused", "refused_decisions", 1), ("told apart", "told_apart", 2))
         }
         seeds = driven["training_seed"].nunique()
         row = {"": SYSTEMS[system].label, "mode": mode, "shown": trajectories, "seeds": seeds}

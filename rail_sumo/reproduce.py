@@ -248,12 +248,12 @@ def _markdown(table: pd.DataFrame, n_episodes: int) -> str:
         by_metric = figures.loc[list(PAPER_METRICS)]
         means = [*by_metric["mean"].map("{:.1f}".format), f"{figures.loc['refused_decisions', 'mean']:.1f}"]
         contacts = round((figures["mean"] * figures["episodes"])[list(report.CONTACTS)].sum())
-        apart = _ratio(*figures.loc["told_apart", ["mean", "low", "high"]])
+        apart = with_interval(*figures.loc["told_apart", ["mean", "low", "high"]])
         trained = "" if rows["as_trained"].all() or not trains else ", not as trained"
         lines.append(
             _line(SYSTEMS[system].label + (f" ({mode}{trained})" if mode else ""), [*means, apart, str(contacts)])
         )
-        ratios = [_ratio(*row) for row in by_metric[["ratio", "ratio_low", "ratio_high"]].to_numpy()]
+        ratios = [with_interval(*row) for row in by_metric[["ratio", "ratio_low", "ratio_high"]].to_numpy()]
         if system != report.EXPERT:
             lines.append(_line("&emsp;of the expert's", [*ratios, "", "", ""]))
         if system in PAPER and rows["as_trained"].all():
@@ -290,7 +290,9 @@ def _line(head: str, cells: Iterable[str]) -> str:
     return f"| {head} | " + " | ".join(cells) + " |"
 
 
-def _ratio(ratio: float, low: float, high: float) -> str:
-    if not np.isfinite(ratio):
+def with_interval(value: float, low: float, high: float, decimals: int = 3) -> str:
+    """Return a figure as tables show it, with its interval if it has one; nothing for what is not known."""
+    if not np.isfinite(value):
         return ""
-    return f"{ratio:.3f}" + (f" ({low:.3f} to {high:.3f})" if np.isfinite([low, high]).all() else "")
+    interval = f" ({low:.{decimals}f} to {high:.{decimals}f})" if np.isfinite([low, high]).all() else ""
+    return f"{value:.{decimals}f}{interval}"
