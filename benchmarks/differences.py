@@ -4,8 +4,7 @@
 
 At every decision of a learned driver its expert is asked too. Runs are taken together, as trainings of one learner:
 figures are shares of all their decisions. The area under the ROC curve tells how well a fresh classifier tells the
-learner's decisions from those of the expert's own drives (0.5 is not at all); its interval is over the runs, or of one
-run over the episodes.
+learner's decisions from those of the expert's own drives (0.5 is not at all); its interval is over the runs.
 """
 
 import argparse
@@ -28,7 +27,7 @@ SITUATIONS = {
     "behind somebody, a lane beside open": lambda seen, allowed: allowed[:, [MetaAction.LEFT, MetaAction.RIGHT]].any(1),
     "behind somebody, no lane open": lambda seen, allowed: np.ones(len(seen), np.bool_),
 }
-"""What holds of whom the ones above do not, from what was seen (the first ray points ahead) and what was allowed."""
+"""A decision belongs to the first of these that holds, by its observation (ray 0 points ahead) and mask."""
 
 
 def situation(seen: np.ndarray, allowed: np.ndarray) -> np.ndarray:
@@ -80,7 +79,7 @@ def main() -> None:
             trajectories, advised = zip(*driven, strict=True)
             made.append(decisions(trajectories, advised))
             areas.append(audit.told_apart(trajectories, alone))
-    area = statistics.mean(statistics.units(areas, trained=len(areas) > 1))
+    area = statistics.mean(statistics.units(areas, trained=True))
     print(f"area under the ROC curve {area.value:.3f} ({area.low:.3f} to {area.high:.3f})")
     table = pd.concat(made)
     print(f"\n{by_situation(table).round(4).to_string()}")

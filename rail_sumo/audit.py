@@ -20,8 +20,9 @@ from rail_sumo.statistics import probability_of_improvement
 FOLDS = 4
 HIDDEN = (64, 64)
 MINIBATCHES = 1000
+"""The number of training steps, whatever the number of episodes."""
 BATCH_SIZE = 256
-"""Decisions in a minibatch, drawn with replacement. Their number is the same however many episodes there are."""
+"""Decisions in a minibatch, drawn with replacement."""
 LEARNING_RATE = 1e-3
 
 
@@ -31,9 +32,9 @@ def told_apart(learner: Sequence[Trajectory], expert: Sequence[Trajectory]) -> F
 
     The figure is the area under the ROC curve: how likely the classifier finds a decision of the expert's more like the
     expert than one of the learner's. 0.5 is perfect imitation, 1 none. A decision is an observation and the meta-action
-    asked for. Each episode is scored by a classifier that was trained on three quarters of all, without this one. By
-    chance a figure may be below 0.5. The fewer episodes there are to learn from, the less a classifier finds: figures
-    compare at equal numbers of episodes. The same episodes always give the same figures.
+    asked for. Each episode is scored by a classifier that was trained on three quarters of all, without this one.
+    Chance can put a figure below 0.5. The fewer episodes there are to learn from, the less a classifier finds: compare
+    figures only from equal numbers of episodes. The same episodes always give the same figures.
 
     Args:
         learner: its episodes.

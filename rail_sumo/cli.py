@@ -125,7 +125,9 @@ def evaluate(
     out: Annotated[Path | None, typer.Option(help="Folder for the tables, as CSV and Parquet.")] = None,
     overwrite: Overwrite = False,
     fcd: Annotated[bool, typer.Option("--fcd", help="Also SUMO's floating-car data of every episode.")] = False,
-    reference: Annotated[str, typer.Option(metavar="POLICY", help="The policy that ratios refer to.")] = "expert",
+    reference: Annotated[
+        str | None, typer.Option(metavar="POLICY", help="The policy that ratios refer to.", show_default="expert")
+    ] = None,
     mode: Annotated[
         Literal["default", "argmax", "sampled"], typer.Option(help="How learned policies act; by default as trained.")
     ] = "default",
@@ -144,7 +146,7 @@ def evaluate(
             )
     elif fcd:
         raise InputError("--fcd writes into the folder of --out; name one")
-    if reference not in (*policies, "expert"):
+    if reference and reference not in policies:
         raise InputError(f"--reference {reference} is not among the policies: {', '.join(policies)}; name it there too")
     n_workers = _workers(workers)
     world = run.world(policies, _overrides(network, routes, overrides))
@@ -158,7 +160,7 @@ def evaluate(
             seed=seed,
             workers=n_workers,
             observer=bars,
-            reference=reference,
+            reference=reference or "expert",
         )
         if out and fcd:
             with files.whole_folder(out, overwrite=overwrite) as whole:
@@ -237,7 +239,11 @@ def show_config(
     overrides: Overrides = None,
 ) -> None:
     """Print every key with what it means and its value, as TOML; a file to start from."""
-    print(config.explained(config.load(config_file, _overrides(network, routes, overrides))), end="")
+    from rail_sumo import training
+
+    chosen = config.load(config_file, _overrides(network, routes, overrides))
+    training.learner_of(chosen)  # or there is none of that name
+    print(config.explained(chosen), end="")
 
 
 @expert.command("train")

@@ -189,10 +189,12 @@ class Policy(_Section):
     """How many of these units."""
     masked: bool = True
     """Whether it chooses among the meta-actions that the assistance layer would carry out now, as the expert does; else
-    it may ask for lane changes that are not open, and is refused."""
+    it may ask for lane changes that are not open, and is refused. Demonstrations that do not tell what was allowed want
+    false."""
     mode: Literal["default", "argmax", "sampled"] = "default"
     """How it acts: by its most probable meta-action (argmax), or by one drawn with the policy's probabilities
-    (sampled). Training drives alike, but GAIL's always samples. By default argmax of RAIL and ARS, else sampled."""
+    (sampled). Training rollouts act the same way; GAIL's are always sampled. Default: argmax for RAIL and ARS, sampled
+    for the others."""
 
 
 class Cloning(_Section):
@@ -243,7 +245,7 @@ class Judge(_Section):
     batch_size: Count = 512
     """Decisions of the expert in a minibatch, and as many of the learner."""
     reward_clip: Positive = 5.0
-    """A decision's reward, the judge's logit, is no larger than this, and no smaller than its negative."""
+    """A decision's reward, by default the judge's logit, is no larger than this, and no smaller than its negative."""
 
 
 class Rail(_Section):

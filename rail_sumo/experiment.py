@@ -147,6 +147,7 @@ class Experiment:
             raise InputError("reproduce keeps its cells on this machine and takes a number of --workers, not ray")
         check_folder(self.out, overwrite=True)
         run.require_drivable(self.config, self.episodes)
+        training.require_loss(self.config)
         drivers.load_expert(self.config)  # every ratio refers to it
         systems = list(grid)
         work = [self._work(Cell(*system, seed)) for seed in range(self.seeds) for system in systems]
@@ -257,7 +258,7 @@ def _driven(work: _Work) -> pd.DataFrame:
     parts = []
     for mode, driver in who.items():
         driven = expert if cell.system == report.EXPERT else _episodes(driver, world, cell.seed, range(n))
-        # Set beside itself, the expert is on other traffic: the measure's negative control.
+        # The expert is compared with its own drives on other traffic: the measure's negative control.
         beside = _episodes(report.EXPERT, world, cell.seed, range(n, 2 * n)) if driven is expert else expert
         rows = [{"episode": number, **metrics.row(one, world.adas)} for number, one in enumerate(driven)]
         parts.append(

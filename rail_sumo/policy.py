@@ -105,7 +105,7 @@ class PolicyParameters:
     """Whether it chooses among the meta-actions that the assistance layer would carry out now."""
 
     def policy(self) -> Policy:
-        """Return the callable supervisor."""
+        """Return the network as a callable: its most probable meta-action, without mask or sampling."""
         return Policy(self.theta, self.shape, self.whitening)
 
 

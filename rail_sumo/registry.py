@@ -15,21 +15,24 @@ def find(kind: str, name: str, known: Mapping[str, Named]) -> Named:
     Workers import the module too, so it must be importable: installed, or on PYTHONPATH.
 
     Raises:
-        InputError: neither; or the attribute is of another type than what is known.
+        InputError: neither; the module cannot be imported; or the attribute is of another type than what is known.
     """
     if name in known:
         return known[name]
-    module, colon, attribute = name.partition(":")
-    if not colon:
+    module, _, attribute = name.partition(":")
+    if not module or not attribute or module.startswith("."):
         raise InputError(
             f"{kind} '{name}' not found{did_you_mean(name, known)}; one from outside is written module:attribute"
         )
     try:
-        found = getattr(import_module(module), attribute)
+        imported = import_module(module)
     except ModuleNotFoundError as error:
         raise InputError(f"{kind} '{name}': {error}; install it, or add its folder to PYTHONPATH") from None
-    except AttributeError:
-        raise InputError(f"{kind} '{name}': module '{module}' has no '{attribute}'") from None
+    except (ImportError, SyntaxError, AttributeError, NameError) as error:
+        raise InputError(f"{kind} '{name}': '{module}' cannot be imported ({type(error).__name__}: {error})") from error
+    if not hasattr(imported, attribute):
+        raise InputError(f"{kind} '{name}': module '{module}' has no '{attribute}'")
+    found = getattr(imported, attribute)
     wanted = type(next(iter(known.values())))
     if not isinstance(found, wanted):
         raise InputError(

@@ -39,7 +39,8 @@ def summary(episodes: pd.DataFrame, reference: str = EXPERT) -> pd.DataFrame:
     NaN; so are ratio and difference where the reference was not evaluated beside.
 
     Episodes in which the host never closed in on a vehicle have an infinite `min_ttc_s`; that metric is summarised
-    over the others, `episodes` of them, and NaN if there are none.
+    over the others, `episodes` of them, and NaN if there are none. Its ratio and difference are over the episodes in
+    which both policies have a finite value.
 
     Args:
         episodes: the `episodes` table.
@@ -75,7 +76,7 @@ def figures(metric: str, scores: Floats, reference: Floats, *, trained: bool) ->
     mean = statistics.mean(ours[np.isfinite(ours)])
     ratio, difference = statistics.ratio(ours[both], theirs[both]), statistics.difference(ours[both], theirs[both])
     if metric in CONTACTS:
-        mean = statistics.share(scores)
+        mean = statistics.share(scores[np.isfinite(scores)])
         ratio, difference = (one._replace(low=np.nan, high=np.nan) for one in (ratio, difference))
     return {
         "mean": mean.value, "low": mean.low, "high": mean.high,
@@ -135,7 +136,7 @@ def table(summary: pd.DataFrame, *, width: int = WIDE) -> Table:
     by_metric = summary.set_index(["policy", "metric"])
     n = by_metric["episodes"].max()
     compared = reference in policies and len(policies) > 1
-    episodes = f"means over {n} episodes ± 95 % interval" if n > 1 else "one episode, which tells no interval"
+    episodes = f"means over {n} episodes ± 95 % interval" if n > 1 else "one episode: no interval"
     below = f"; below, ratios to {escape(reference)}" if compared else ""
     shown = Table(box=SIMPLE_HEAD, caption=episodes + below)
     shown.add_column("policy", overflow="fold", min_width=14)

@@ -11,7 +11,7 @@ import pyarrow as pa
 from rail_sumo import plot, report
 from rail_sumo.errors import InputError, did_you_mean
 from rail_sumo.experiment import CELL_COLUMNS, SYSTEMS, Experiment
-from rail_sumo.files import whole_file
+from rail_sumo.files import check_folder, whole_file, writing
 from rail_sumo.records import Floats
 from rail_sumo.statistics import probability_of_improvement
 
@@ -61,6 +61,8 @@ def chosen(only: str) -> tuple[str, ...]:
         InputError: one of them is not known.
     """
     wanted = {name.strip() for name in only.split(",") if name.strip()}
+    if only and not wanted:
+        raise InputError(f"--only takes systems' names with commas between them; got '{only}'")
     for name in sorted(wanted - SYSTEMS.keys()):
         raise InputError(f"--only: system '{name}' not found{did_you_mean(name, SYSTEMS)}")
     return tuple(name for name in SYSTEMS if name in wanted or not wanted)
@@ -100,7 +102,8 @@ def table1_of(
     """
     table = read_cells(cells)
     table = table[table["trajectories"].isin([0, trajectories]) & table["system"].isin(_with_the_expert(systems))]
-    out.mkdir(parents=True, exist_ok=True)
+    _require_some(table, cells, systems, f" shown {trajectories} trajectories")
+    _make(out)
     return _written(table, out)
 
 
@@ -110,6 +113,8 @@ def read_cells(file: Path) -> pd.DataFrame:
     Raises:
         InputError: the file cannot be read or is another one, or the expert is not in it.
     """
+    if not file.is_file():
+        raise InputError(f"cells '{file}' not found; name the cells.parquet of an experiment")
     try:
         cells = report.typed(pd.read_parquet(file), CELL_COLUMNS)
     except (OSError, pa.ArrowException, ValueError, KeyError, TypeError) as error:
@@ -118,6 +123,17 @@ def read_cells(file: Path) -> pd.DataFrame:
         raise InputError(f"'{file}' holds no episodes of the expert, which every ratio refers to")
     rank = {name: number for number, name in enumerate(SYSTEMS)}
     return cells.sort_values("system", key=lambda names: names.map(rank), kind="stable", ignore_index=True)
+
+
+def _require_some(table: pd.DataFrame, file: Path, systems: Sequence[str], shown: str) -> None:
+    if not len(table[table["system"].isin(systems)]):
+        raise InputError(f"'{file}' holds no episodes of {', '.join(systems)}{shown}")
+
+
+def _make(out: Path) -> None:
+    check_folder(out, overwrite=True)
+    with writing(out):
+        out.mkdir(parents=True, exist_ok=True)
 
 
 def _with_the_expert(systems: Sequence[str]) -> list[str]:
@@ -146,13 +162,16 @@ def compare(cells: pd.DataFrame) -> pd.DataFrame:
     rows: list[dict[str, Any]] = []
     for (system, mode), driven in cells.groupby(["system", "mode"], sort=False):
         beside = expert[expert["training_seed"].isin(driven["training_seed"])]
+        trains = SYSTEMS[system].trains
         for metric in TABLE_METRICS:
+            # Episodes of a seed are told apart by the same classifiers: they are not independent.
+            by_seed = trains or metric == "told_apart"
             ours, theirs = scores(driven, metric), scores(beside, metric)
             paper, paper_expert = _paper(system, metric), _paper(report.EXPERT, metric)
             told = {"system": system, "mode": mode, "as_trained": driven["as_trained"].all(), "metric": metric}
             rows.append(
-                {**told, "trainings": len(ours) if SYSTEMS[system].trains else 0, "episodes": ours.size}
-                | report.figures(metric, ours, theirs, trained=SYSTEMS[system].trains)
+                {**told, "trainings": len(ours) if trains else 0, "episodes": int(np.isfinite(ours).sum())}
+                | report.figures(metric, ours, theirs, trained=by_seed)
                 | {"above_expert": probability_of_improvement(ours, theirs)}
                 | {"paper": paper, "paper_ratio": paper / paper_expert}
             )
@@ -190,7 +209,8 @@ def figures_of(cells: Path, out: Path, systems: Sequence[str] = FIGURES) -> None
     """
     plot.require_matplotlib()
     table = read_cells(cells)
-    out.mkdir(parents=True, exist_ok=True)
+    _require_some(table, cells, _learners(systems), "")
+    _make(out)
     _draw(table, _learners(systems), out)
 
 
@@ -265,11 +285,12 @@ def _markdown(table: pd.DataFrame, n_episodes: int) -> str:
 
 
 _NOTE = (
-    "Trainings of each learner: {trainings}; episodes of each: {n_episodes}, on held-out traffic. Means; below them, "
-    "ratios of means to the expert's on the same traffic, with 95 % intervals: over trainings, and over episodes of "
-    "drivers that do not train. Told apart: how well a fresh classifier tells the decisions from the expert's, 0.5 "
-    "being not at all; the expert's own is from its decisions on other traffic. Contacts: in how many of the episodes "
-    "the host hit anything or was hit. The paper's are means of 16 episodes of one training."
+    "Trainings of each learner: {trainings}; held-out episodes of each in either mode, and of each driver on every "
+    "training's traffic: {n_episodes}. Means; below them, ratios of means to the expert's on the same traffic, with "
+    "95 % intervals: over trainings, and over episodes of drivers that do not train. Told apart: how well a fresh "
+    "classifier tells the decisions from the expert's, 0.5 being not at all; the expert's own is from its decisions "
+    "on other traffic. Contacts: in how many of the episodes the host hit anything or was hit. The paper's are means "
+    "of 16 episodes of one training."
 )
 
 
@@ -279,10 +300,7 @@ def _notes(table: pd.DataFrame, n_episodes: int) -> list[str]:
     trainings = f"{fewest}" if fewest == most else f"{fewest} to {most}"
     notes = [_NOTE.format(trainings=trainings, n_episodes=n_episodes)]
     if 0 < fewest < FEW_SEEDS:
-        notes += [
-            "",
-            f"**Fewer than {FEW_SEEDS} trainings**: the intervals hold, but hardly tell anything; train more.",
-        ]
+        notes += ["", f"**Fewer than {FEW_SEEDS} trainings**: the intervals are right but very wide."]
     return notes
 
 

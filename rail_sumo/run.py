@@ -195,7 +195,7 @@ def train(
         expert = {report.EXPERT: drivers.load_expert(config)}
     run = training.learn(config, out, seed=seed, workers=workers, resume=resume, observer=observer)
     policies: dict[str, Who] = {config.train.learner: run.policy(config)}
-    if training.learner_of(config).improves_its_clone:
+    if training.learner_of(config).compared_with_clone:
         policies |= {f"clone, {mode}": replace(run.clone, samples=mode == "sampled") for mode in ("argmax", "sampled")}
     policies |= expert
     episodes = config.train.evaluation_episodes

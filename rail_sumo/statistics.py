@@ -78,7 +78,8 @@ def ratio(scores: ArrayLike, reference: ArrayLike) -> Estimate:
 def share(scores: ArrayLike) -> Estimate:
     """Return in what share of scores, of any shape, something happened (is not 0), with Wilson's interval.
 
-    It also tells how often what never happened may yet happen.
+    It also tells how often what never happened may yet happen. It takes all scores as independent: where trainings
+    differ in how often something happens, it is too narrow.
     """
     happened = np.asarray(scores) != 0
     found = stats.binomtest(int(happened.sum()), happened.size)

@@ -21,7 +21,7 @@ from rail_sumo.imitation.demonstrations import Demonstrations
 from rail_sumo.policy import PolicyParameters, Shape, Whitening
 from rail_sumo.records import Floats, Trajectory
 from rail_sumo.rollout import SILENT, TRAINING, Observer, Task, WorkerCount, Workers, traffic_seed
-from rail_sumo.run_directory import JUDGES, Checkpoint, Row, RunDirectory, Tensors, require_new
+from rail_sumo.run_directory import JUDGES, PROGRESS_COLUMNS, Checkpoint, Row, RunDirectory, Tensors, require_new
 
 if TYPE_CHECKING:  # torch takes seconds to import, and not every command trains
     from rail_sumo.imitation import rail
@@ -33,7 +33,7 @@ PPO, MOMENTS = "ppo.", "moments."
 
 @dataclass(frozen=True)
 class Iteration:
-    """What an iteration came to, whichever the learner."""
+    """The result of one iteration of any learner."""
 
     learned: PolicyParameters
     memory: Tensors
@@ -52,6 +52,7 @@ def learn(
         InputError: as in `run.train`.
     """
     config = resolved(config)
+    require_loss(config)
     run = RunDirectory(out) if resume else None
     if run is None:
         require_new(out)
@@ -230,8 +231,8 @@ class Learner:
     """Whether its policy acts by sampling unless `policy.mode` tells; else by its most probable action."""
     reads_demonstrations: bool = True
     """Whether it is shown any, and starts from their clone."""
-    improves_its_clone: bool = True
-    """Whether it comes to more than that."""
+    compared_with_clone: bool = True
+    """Whether `run.train` also evaluates the clone that it started from."""
     asks_the_expert: bool = False
 
 
@@ -239,8 +240,8 @@ LEARNERS = {
     "rail": Learner(_rail, iterations=160, samples=False),
     "gail": Learner(_gail, iterations=160),
     "dagger": Learner(_dagger, iterations=20, asks_the_expert=True),
-    "bc": Learner(_cloning, iterations=0, improves_its_clone=False),
-    "ars": Learner(_ars, iterations=160, samples=False, reads_demonstrations=False, improves_its_clone=False),
+    "bc": Learner(_cloning, iterations=0, compared_with_clone=False),
+    "ars": Learner(_ars, iterations=160, samples=False, reads_demonstrations=False, compared_with_clone=False),
 }
 """By `train.learner`."""
 
@@ -252,6 +253,13 @@ def learner_of(config: Config) -> Learner:
         InputError: there is none of that name.
     """
     return registry.find("learner", config.train.learner, LEARNERS)
+
+
+def require_loss(config: Config) -> None:
+    """Raise InputError if there is no loss of the name that the judge is to minimise."""
+    from rail_sumo.imitation.losses import LOSSES
+
+    registry.find("loss", config.judge.loss, LOSSES)
 
 
 def resolved(config: Config) -> Config:
@@ -337,6 +345,9 @@ def _part(prefix: str, tensors: Tensors) -> Tensors:
 
 
 def _progress(iteration: Iteration, before: tuple[Row, ...], seconds: float) -> Row:
+    unknown = sorted(iteration.figures.keys() - set(PROGRESS_COLUMNS))
+    if unknown:
+        raise ValueError(f"'{unknown[0]}' is no column of progress.csv; figures may be: {', '.join(PROGRESS_COLUMNS)}")
     steps_before = before[-1]["environment_steps"] if before else 0
     return {
         "iteration": len(before) + 1,

@@ -188,7 +188,7 @@ def test_a_rollout_of_one_decision_tells_nothing():
     learner.update([one, more], Indifferent().rewards, np.random.default_rng(0))
     same.update([more], Indifferent().rewards, np.random.default_rng(0))
     np.testing.assert_array_equal(learner.theta(), same.theta())
-    with pytest.raises(InputError, match="no rollout came to two decisions"):
+    with pytest.raises(InputError, match="fewer than two decisions to learn from"):
         learner.update([one, one], Indifferent().rewards, np.random.default_rng(0))
 
 

@@ -279,7 +279,7 @@ def test_the_terminal_tells_which_policy_is_the_reference():
     # One episode tells no interval, which is told.
     three = report.episodes([*rows("rule", [60.0]), *rows("mine", [66.0]), *rows("expert", [72.0])])
     lines = printed(report.summary(three, reference="rule"))
-    assert "one episode, which tells no interval; below, ratios to rule" in " ".join(lines)
+    assert "one episode: no interval; below, ratios to rule" in " ".join(lines)
     assert not any("±" in line for line in lines)
     assert [lines[line_of(name, lines) + 1].split()[:1] for name in ("mine", "expert  ")] == [["1.10"], ["1.20"]]
 

@@ -301,7 +301,8 @@ def test_a_row_that_is_not_known_is_one_clear_line(only, name, meant):
 def test_fewer_than_five_trainings_are_noted(world, done, tmp_path, seeds, few):
     table1(world, tmp_path, ("bc-1", "rule"), seeds=seeds)
     markdown = (tmp_path / "table1.md").read_text()
-    assert f"Trainings of each learner: {seeds}; episodes of each: {N_EPISODES}, on held-out traffic." in markdown
+    assert f"Trainings of each learner: {seeds}; held-out episodes of each in either mode, " in markdown
+    assert f"training's traffic: {N_EPISODES}. Means" in markdown
     assert ("**Fewer than 5 trainings**" in markdown) == few
 
 
@@ -342,7 +343,9 @@ def test_what_is_no_cells_file_or_has_no_expert_is_one_clear_line(world, done, t
     (tmp_path / "cut.parquet").write_bytes(b"PAR1 and no more")
     with pytest.raises(InputError, match=r"'.*alone.parquet' holds no episodes of the expert"):
         reproduce.table1_of(tmp_path / "alone.parquet", tmp_path / "made")
-    for name in ("unseeded", "cut", "none"):
+    with pytest.raises(InputError, match=r"cells '.*none.parquet' not found; name the cells.parquet of an experiment"):
+        reproduce.table1_of(tmp_path / "none.parquet", tmp_path / "made")
+    for name in ("unseeded", "cut"):
         with pytest.raises(InputError, match=rf"'.*{name}.parquet' is not the cells.parquet of an experiment \("):
             reproduce.table1_of(tmp_path / f"{name}.parquet", tmp_path / "made")
     with pytest.raises(InputError):

@@ -268,6 +268,10 @@ class HandsOff:
     """Stands in for `Adas` when SUMO's own driver drives: keeps to limits and stops, and counts SUMO's lane changes.
 
     SUMO changes lanes within one step, so each counts one step as under way.
+
+    Args:
+        config: its limits.
+        keeps_limits: whether it does; else they are SUMO's to keep, as of its other vehicles.
     """
 
     lateral_m = 0.0
@@ -276,7 +280,7 @@ class HandsOff:
 
     def __init__(self, config: config.Adas, *, keeps_limits: bool = True) -> None:
         self._config = config
-        self._keeps_limits = keeps_limits  # or SUMO does, as it has its vehicles do
+        self._keeps_limits = keeps_limits
         self.changing_lane = False
         self.lane_changes = 0
         self._last: HostState | None = None

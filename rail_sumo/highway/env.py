@@ -49,8 +49,8 @@ class HighwayEnv(gymnasium.Env[Floats, np.int64]):
 
     Args:
         config: the world; the default one without it.
-        hands_off: leave the host to SUMO's own driver and ignore the actions; a vehicle type's id, of the user's demand
-            or of SUMO's, has the host be a vehicle of that type.
+        hands_off: leave the host to SUMO's own driver and ignore the actions; with the id of one of the demand's
+            vehicle types, as a vehicle of that type.
         outputs: further options of SUMO's, such as those of its own reports, which are whole once an episode is closed.
     """
 
@@ -88,6 +88,7 @@ class HighwayEnv(gymnasium.Env[Floats, np.int64]):
         duration_steps = self.config.episode.duration_s / SECONDS_PER_STEP
         self._duration_steps = sys.maxsize if math.isinf(duration_steps) else math.ceil(duration_steps - 1e-6)
         self._simulation: Simulation | None = None
+        self._told: list[bool] | None = None
         self._end: EndReason | None = None
 
     @sumo_errors.as_input_errors
@@ -103,7 +104,7 @@ class HighwayEnv(gymnasium.Env[Floats, np.int64]):
         self._actions: list[int] = []
         self._carried_out: list[int] = []
         self._allowed: list[list[bool]] = []
-        self._told: list[bool] | None = None
+        self._told = None
         self._lane_changing: list[bool] = []
         self._limits_mps: list[float] = []
         self._end = None
@@ -284,7 +285,7 @@ class HighwayEnv(gymnasium.Env[Floats, np.int64]):
             assert self._simulation is not None
             host = self._simulation.host
             self._told = self._adas.allowed(host.state(), host.gaps)
-        return self._told
+        return list(self._told)
 
     def surroundings(self) -> tuple[HostState, Gaps, Gaps, Gaps]:
         """Return the host's state and the true gaps in its own lane, to its left and to its right."""

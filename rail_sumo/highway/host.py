@@ -25,8 +25,8 @@ COMMANDED_ONLY = 256
 SUMO_CHANGES_LANES = 1621
 """SUMO's default lane-change mode."""
 
-SUMO_TYPES = ("DEFAULT_",)
-"""What the ids of the types begin with that SUMO has of its own."""
+SUMO_TYPE_PREFIX = "DEFAULT_"
+"""What the ids of SUMO's own vehicle types begin with."""
 UNLIMITED = 10.0
 """Speed factor with which SUMO does not hold the host to the road's limits."""
 
@@ -147,10 +147,13 @@ class Host:
         if kind is None:
             vehicle.setTau(HOST, self._adas.time_gap_s)  # as a vehicle of SUMO's, it has no other time gap
         else:
-            known = sorted(name for name in types.getIDList() if not name.startswith((OURS, *SUMO_TYPES)))
-            if kind not in types.getIDList():
+            known = [name for name in types.getIDList() if not name.startswith((OURS, SUMO_TYPE_PREFIX))]
+            if not known:
+                raise InputError(f"driver 'sumo:{kind}' is a vehicle of your demand's; name its files with --routes")
+            if kind not in known:
                 raise InputError(f"vehicle type '{kind}' of driver 'sumo:{kind}' not found{did_you_mean(kind, known)}")
             vehicle.setType(HOST, kind)
+            kind = vehicle.getTypeID(HOST)  # the one drawn from a distribution
             vehicle.setSpeedFactor(HOST, types.getSpeedFactor(kind))
             vehicle.setMaxSpeed(HOST, types.getMaxSpeed(kind))
             vehicle.setSpeedMode(HOST, SUMO_SPEED_MODE)

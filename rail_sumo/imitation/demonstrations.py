@@ -95,6 +95,11 @@ class Demonstrations:
         taken = np.isin(self.episode, np.unique(self.episode)[:n_episodes])
         return Demonstrations(self.observations[taken], self.actions[taken], self.episode[taken], self.allowed[taken])
 
+    def _numbered(self) -> NDArray[np.int64]:
+        """Return episodes' numbers as they are, or from 0 where they are too large for the file."""
+        fits = np.abs(self.episode).max() <= np.iinfo(np.int32).max
+        return self.episode if fits else np.unique(self.episode, return_inverse=True)[1]
+
     def joined(self, others: "Demonstrations") -> "Demonstrations":
         """Return these and other episodes' decisions, those numbered on."""
         return Demonstrations(
@@ -145,7 +150,7 @@ class Demonstrations:
         if len(features) != n_features:
             raise ValueError(f"features must name {n_features} columns; got {len(features)} names")
         columns = dict(zip(features, self.observations.astype(np.float32).T, strict=True))
-        columns |= {ACTION: self.actions.astype(np.int8), EPISODE: self.episode.astype(np.int32)}
+        columns |= {ACTION: self.actions.astype(np.int8), EPISODE: self._numbered().astype(np.int32)}
         columns |= dict(zip(ALLOWED, self.allowed.T, strict=True))
         metadata = json.dumps({"features": list(features), "about": dict(about)})
         table = pa.table(columns).replace_schema_metadata({METADATA_KEY: metadata})

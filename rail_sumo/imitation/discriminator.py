@@ -24,7 +24,7 @@ from rail_sumo.records import Floats, Trajectory
 
 @dataclass(frozen=True)
 class Fit:
-    """What a fit of the judge came to."""
+    """The judge's loss and mean verdicts of one fit."""
 
     loss: float
     """Mean over the fit's minibatches of what the judge minimises."""

@@ -167,7 +167,7 @@ class Ppo:
             columns = [column[1:] for column in columns]
         observations, actions, allowed, earned, starts, values, log_probs = columns
         if not len(actions):
-            raise InputError("no rollout came to two decisions, which GAIL learns from; set a longer train.horizon_s")
+            raise InputError("the rollouts hold fewer than two decisions to learn from; set a longer train.horizon_s")
         buffer = MaskableRolloutBuffer(
             len(actions),
             self._ppo.observation_space,
