@@ -228,7 +228,10 @@ def test_a_traffic_seed_depends_on_its_key_alone():
 def test_advised_it_drives_as_it_would_and_the_advice_is_the_advisers_on_what_was_seen():
     expert = drivers.load_expert(MINUTE)
     driven, advice = rollout.drive_advised(dataclasses.replace(Task(learned(3), MINUTE, 9), adviser=expert))
-    assert same(driven, drive(Task(learned(3), MINUTE, 9)))
+    alone = drive(Task(learned(3), MINUTE, 9))
+    assert same(dataclasses.replace(driven, allowed=alone.allowed), alone)
+    assert alone.allowed.all()
+    assert not driven.allowed.all()  # which the adviser has asked for
     assert len(advice) == len(driven.actions)
     assert not np.array_equal(advice, driven.actions)
     by_expert = drive(Task(expert, MINUTE, 9))
