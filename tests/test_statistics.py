@@ -72,20 +72,20 @@ def test_what_never_happened_may_yet_happen():
     assert low < value == 0.25 < high
 
 
-# Standard deviations between trainings, and between the episodes of one, in km/h, overtakes and lane changes: as RAIL's
-# and the expert's episodes differ in docs/data.
-BETWEEN, WITHIN, MEAN = np.array([1.0, 3.0, 1.5]), np.array([2.7, 9.0, 4.5]), np.array([69.0, 41.0, 13.0])
+# Standard deviations between trainings, and between the episodes of one, in km/h, overtakes and lane changes: those of
+# RAIL on two layers in docs/data.
+BETWEEN, WITHIN, MEAN = np.array([0.6, 1.5, 0.5]), np.array([3.0, 9.7, 4.9]), np.array([70.3, 44.4, 13.9])
 
 
 @pytest.mark.parametrize("n_seeds", [3, 5, 10])
-@pytest.mark.parametrize("between", [0.0, 1.0, 2.0], ids=["alike", "as here", "twice that"])
+@pytest.mark.parametrize("between", [0.0, 1.0, 4.0], ids=["alike", "as here", "four times that"])
 def test_intervals_hold_the_truth_in_95_of_100_cases(n_seeds, between):
     rng = np.random.default_rng(5)
     held = []
     for _ in range(1500):
         trained = MEAN + between * BETWEEN * rng.normal(size=(n_seeds, 1, 3))
-        ours = np.maximum(trained + WITHIN * rng.normal(size=(n_seeds, 16, 3)), 0.0)
-        theirs = np.maximum(MEAN + WITHIN * rng.normal(size=(n_seeds, 16, 3)), 0.0)
+        ours = np.maximum(trained + WITHIN * rng.normal(size=(n_seeds, 32, 3)), 0.0)
+        theirs = np.maximum(MEAN + WITHIN * rng.normal(size=(n_seeds, 32, 3)), 0.0)
         for i in range(3):
             one, other = (units(driven[:, :, i], trained=True) for driven in (ours, theirs))
             for truth, (_, low, high) in (
