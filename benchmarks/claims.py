@@ -14,7 +14,8 @@ import numpy as np
 import pandas as pd
 
 from rail_sumo import config, report, statistics, training
-from rail_sumo.experiment import ARGMAX, SAMPLED, SYSTEMS
+from rail_sumo.experiment import SYSTEMS
+from rail_sumo.policy import ARGMAX, SAMPLED
 from rail_sumo.records import MetaAction
 from rail_sumo.reproduce import compare, read_cells, scores, with_interval
 

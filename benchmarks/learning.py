@@ -16,10 +16,11 @@ import pandas as pd
 from scipy import stats
 
 from rail_sumo import metrics, rollout, training
-from rail_sumo.experiment import ARGMAX, SYSTEMS, Cell
+from rail_sumo.experiment import SYSTEMS, Cell
 from rail_sumo.imitation import rail
 from rail_sumo.imitation.demonstrations import Demonstrations
 from rail_sumo.imitation.discriminator import Fit
+from rail_sumo.policy import ARGMAX
 from rail_sumo.reproduce import read_cells
 from rail_sumo.run_directory import PROGRESS, RunDirectory
 

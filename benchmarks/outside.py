@@ -31,7 +31,7 @@ from rail_sumo.highway.env import HighwayEnv
 from rail_sumo.highway.observation import feature_names
 from rail_sumo.imitation import bc as ours
 from rail_sumo.imitation.perceptron import flatten
-from rail_sumo.policy import PolicyParameters, Shape, Whitening
+from rail_sumo.policy import ARGMAX, SAMPLED, PolicyParameters, Shape, Whitening
 
 SHOWN = ["speed_kmh", "overtakes", "lane_changes", "refused_decisions", "collisions"]
 EPISODES = 16
@@ -127,11 +127,7 @@ def taught(world, demonstrations, seed: int, rounds: int) -> dict[str, PolicyPar
         "cloning, imitation": their_clone,
         f"GAIL, imitation, {rounds} rounds": learned(ppo.policy, our_clone),
     }
-    return {
-        f"{name}, {mode}": replace(policy, samples=mode == "sampled")
-        for name, policy in policies.items()
-        for mode in ("argmax", "sampled")
-    }
+    return {f"{name}, {mode}": policy.acting(mode) for name, policy in policies.items() for mode in (ARGMAX, SAMPLED)}
 
 
 def cell(given: tuple[int, int]) -> pd.DataFrame:

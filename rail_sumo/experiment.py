@@ -10,7 +10,7 @@ import json
 import re
 import tomllib
 from collections.abc import Iterable, Mapping
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
@@ -24,6 +24,7 @@ from rail_sumo.audit import told_apart
 from rail_sumo.config import Config, dumps, validate
 from rail_sumo.errors import InputError
 from rail_sumo.files import check_folder, whole_file
+from rail_sumo.policy import ARGMAX, SAMPLED
 from rail_sumo.records import EPISODE_COLUMNS, Trajectory
 from rail_sumo.rollout import EVALUATION, SILENT, Observer, Task, Who, WorkerCount, traffic_seed
 from rail_sumo.run_directory import RunDirectory
@@ -33,9 +34,6 @@ QUICK = 4
 
 MADE_OF = b"rail_sumo"
 """The key of a cell's metadata that tells its configuration and the SHA-256 of the files it read."""
-
-ARGMAX, SAMPLED = "argmax", "sampled"
-"""How a learned driver acts, see `config.Policy.mode`. Every training is evaluated either way."""
 
 CELL_COLUMNS = {
     "system": "string",
@@ -129,7 +127,7 @@ class Experiment:
     workers: WorkerCount = 1
     """How many cells at once, each in a process of its own."""
     observer: Observer = SILENT
-    """Is told of every cell."""
+    """Receives progress, cell by cell."""
 
     def drive(self, grid: Iterable[tuple[str, int]]) -> pd.DataFrame:
         """Bring a cell for every seed and every (system, trajectories) to its end; write `cells` into `out`.
@@ -253,7 +251,7 @@ def _driven(work: _Work) -> pd.DataFrame:
     who: dict[str, Who] = {"": cell.system}
     if SYSTEMS[cell.system].trains:
         learned = training.learn(world, work.run, seed=cell.seed, resume=work.run.exists()).policy(world)
-        who = {ARGMAX: replace(learned, samples=False), SAMPLED: replace(learned, samples=True)}
+        who = {mode: learned.acting(mode) for mode in (ARGMAX, SAMPLED)}
     expert = _episodes(report.EXPERT, world, cell.seed, range(n))
     parts = []
     for mode, driver in who.items():

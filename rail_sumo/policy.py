@@ -1,12 +1,14 @@
 """The supervisor: a flat parameter vector and an observation give an action. Workers need numpy alone."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
 from rail_sumo.records import Floats, MetaAction
 
 N_ACTIONS = len(MetaAction)
+ARGMAX, SAMPLED = "argmax", "sampled"
+"""How a policy acts: by its most probable meta-action, or by one drawn with its probabilities."""
 
 
 @dataclass(frozen=True)
@@ -103,6 +105,10 @@ class PolicyParameters:
     """Whether actions are sampled with their softmax probabilities; else the most probable one is taken."""
     masked: bool = False
     """Whether it chooses among the meta-actions that the assistance layer would carry out now."""
+
+    def acting(self, mode: str) -> "PolicyParameters":
+        """Return the same policy, acting by `ARGMAX` or `SAMPLED`."""
+        return replace(self, samples=mode == SAMPLED)
 
     def policy(self) -> Policy:
         """Return the network as a callable: its most probable meta-action, without mask or sampling."""

@@ -184,6 +184,16 @@ EPISODE_COLUMNS: dict[str, str] = {
 }
 """Columns of the `episodes` table, in order, with their pandas types."""
 
+COMPARISON_COLUMNS: dict[str, str] = {
+    "ratio": "float64",
+    "ratio_low": "float64",
+    "ratio_high": "float64",
+    "difference": "float64",
+    "difference_low": "float64",
+    "difference_high": "float64",
+}
+"""How a mean compares with the reference's, in the `summary` table and in Table 1; see `report.figures`."""
+
 SUMMARY_COLUMNS: dict[str, str] = {
     "policy": "string",
     "metric": "string",
@@ -192,12 +202,7 @@ SUMMARY_COLUMNS: dict[str, str] = {
     "low": "float64",
     "high": "float64",
     "reference": "string",
-    "ratio": "float64",
-    "ratio_low": "float64",
-    "ratio_high": "float64",
-    "difference": "float64",
-    "difference_low": "float64",
-    "difference_high": "float64",
+    **COMPARISON_COLUMNS,
 }
 """Columns of the `summary` table, in order; see `report.summary`."""
 

@@ -12,7 +12,7 @@ from rail_sumo import plot, report
 from rail_sumo.errors import InputError, did_you_mean
 from rail_sumo.experiment import CELL_COLUMNS, SYSTEMS, Experiment
 from rail_sumo.files import check_folder, whole_file, writing
-from rail_sumo.records import Floats
+from rail_sumo.records import COMPARISON_COLUMNS, Floats
 from rail_sumo.statistics import probability_of_improvement
 
 TRAJECTORIES = (1, 5, 10, 20, 40)
@@ -42,12 +42,7 @@ TABLE_COLUMNS = {
     "mean": "float64",
     "low": "float64",
     "high": "float64",
-    "ratio": "float64",
-    "ratio_low": "float64",
-    "ratio_high": "float64",
-    "difference": "float64",
-    "difference_low": "float64",
-    "difference_high": "float64",
+    **COMPARISON_COLUMNS,
     "above_expert": "float64",
     "paper": "float64",
     "paper_ratio": "float64",
@@ -208,10 +203,11 @@ def figures_of(cells: Path, out: Path, systems: Sequence[str] = FIGURES) -> None
         InputError: the file cannot be read or is another one, or matplotlib is not installed.
     """
     plot.require_matplotlib()
+    systems = _learners(systems)
     table = read_cells(cells)
-    _require_some(table, cells, _learners(systems), "")
+    _require_some(table, cells, systems, "")
     _make(out)
-    _draw(table, _learners(systems), out)
+    _draw(table, systems, out)
 
 
 def _learners(systems: Sequence[str]) -> list[str]:

@@ -3,7 +3,6 @@
 import itertools
 from collections.abc import Iterable, Mapping
 from contextlib import suppress
-from dataclasses import replace
 from pathlib import Path
 from urllib.parse import quote
 
@@ -19,6 +18,7 @@ from rail_sumo.highway.env import HighwayEnv
 from rail_sumo.highway.observation import feature_names
 from rail_sumo.highway.simulation import floating_car_data
 from rail_sumo.imitation.demonstrations import Demonstrations
+from rail_sumo.policy import ARGMAX, SAMPLED
 from rail_sumo.rollout import (
     DEMONSTRATION,
     EVALUATION,
@@ -72,7 +72,7 @@ def find_driver(policy: str, world: Config, mode: str = "default") -> Who:
         return drivers.load_expert(world, Path(policy))
     _require_folder(Path(policy))
     learned = RunDirectory(Path(policy)).policy(world)
-    return learned if mode == "default" else replace(learned, samples=mode == "sampled")
+    return learned if mode == "default" else learned.acting(mode)
 
 
 def evaluate(
@@ -191,12 +191,12 @@ def train(
     """
     require_drivable(config, config.train.evaluation_episodes)
     expert: dict[str, Who] = {}
-    with suppress(ObservationError):  # it senses something else: there is nothing to set beside
+    with suppress(ObservationError):  # an expert that senses something else cannot drive here
         expert = {report.EXPERT: drivers.load_expert(config)}
     run = training.learn(config, out, seed=seed, workers=workers, resume=resume, observer=observer)
     policies: dict[str, Who] = {config.train.learner: run.policy(config)}
     if training.learner_of(config).compared_with_clone:
-        policies |= {f"clone, {mode}": replace(run.clone, samples=mode == "sampled") for mode in ("argmax", "sampled")}
+        policies |= {f"clone, {mode}": run.clone.acting(mode) for mode in (ARGMAX, SAMPLED)}
     policies |= expert
     episodes = config.train.evaluation_episodes
     tables = evaluate(policies, config, episodes=episodes, seed=seed, workers=workers, observer=observer)

@@ -18,7 +18,7 @@ from rail_sumo.highway import demand
 from rail_sumo.highway.observation import feature_names
 from rail_sumo.highway.reward import total_reward
 from rail_sumo.imitation.demonstrations import Demonstrations
-from rail_sumo.policy import PolicyParameters, Shape, Whitening
+from rail_sumo.policy import ARGMAX, SAMPLED, PolicyParameters, Shape, Whitening
 from rail_sumo.records import Floats, Trajectory
 from rail_sumo.rollout import SILENT, TRAINING, Observer, Task, WorkerCount, Workers, traffic_seed
 from rail_sumo.run_directory import JUDGES, PROGRESS_COLUMNS, Checkpoint, Row, RunDirectory, Tensors, require_new
@@ -109,7 +109,7 @@ class Practice:
 
     def sampled(self, learner: PolicyParameters, n_rollouts: int, iteration: int) -> list[Trajectory]:
         """Drive by actions sampled with the policy's probabilities."""
-        return self.drive([replace(learner, samples=True)] * n_rollouts, iteration)
+        return self.drive([learner.acting(SAMPLED)] * n_rollouts, iteration)
 
     def advised(
         self, learner: PolicyParameters, adviser: drivers.Expert, n_rollouts: int, iteration: int
@@ -274,7 +274,7 @@ def resolved(config: Config) -> Config:
         raise InputError(f"learner '{config.train.learner}' has no iterations, got {iterations}; leave them out")
     return config.changed(
         train={"iterations": learner.iterations if iterations == "default" else iterations},
-        policy={"mode": ("sampled" if learner.samples else "argmax") if mode == "default" else mode},
+        policy={"mode": (SAMPLED if learner.samples else ARGMAX) if mode == "default" else mode},
     )
 
 
@@ -287,7 +287,7 @@ def _start(config: Config, demonstrations: Demonstrations, seed: int) -> PolicyP
     cloning = config.cloning if learner_of(config).reads_demonstrations else untrained
     n_features = len(feature_names(config.lidar, config.observation))
     shape = Shape(n_features, config.policy.hidden if config.policy.layers == 2 else None)
-    masked, samples = config.policy.masked, config.policy.mode == "sampled"
+    masked, samples = config.policy.masked, config.policy.mode == SAMPLED
     theta = bc.clone(demonstrations, shape, whitening, cloning, seed, masked=masked)
     return PolicyParameters(theta, shape, whitening, samples, masked)
 

@@ -1,7 +1,7 @@
 """What an expert saw and decided, and the Parquet file it is kept in."""
 
 import json
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -261,20 +261,21 @@ def _numbers(path: Path, table: pa.Table, name: str) -> Floats:
 
 
 def _integers(path: Path, table: pa.Table, name: str) -> NDArray[np.int64]:
-    column = table[name]
-    if not pa.types.is_integer(column.type) or column.null_count:
-        raise InputError(
-            f"{_named(path)}: column '{name}' must hold an integer in every row, "
-            f"not {column.type} with {column.null_count} missing; {_AGAIN}"
-        )
-    return column.to_numpy().astype(np.int64)
+    return _whole(path, table, name, "an integer", pa.types.is_integer).to_numpy().astype(np.int64)
 
 
 def _booleans(path: Path, table: pa.Table, name: str) -> NDArray[np.bool_]:
+    return _whole(path, table, name, "true or false", pa.types.is_boolean).to_numpy()
+
+
+def _whole(
+    path: Path, table: pa.Table, name: str, wanted: str, is_wanted: Callable[[pa.DataType], bool]
+) -> pa.ChunkedArray:
+    """Return a column of the wanted type in which nothing is missing."""
     column = table[name]
-    if not pa.types.is_boolean(column.type) or column.null_count:
+    if not is_wanted(column.type) or column.null_count:
         raise InputError(
-            f"{_named(path)}: column '{name}' must hold true or false in every row, "
+            f"{_named(path)}: column '{name}' must hold {wanted} in every row, "
             f"not {column.type} with {column.null_count} missing; {_AGAIN}"
         )
-    return column.to_numpy()
+    return column
