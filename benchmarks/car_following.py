@@ -25,7 +25,7 @@ from rail_sumo.rollout import EVALUATION, Task, drive, traffic_seed
 
 
 class Watched(Simulation):
-    """Notes every vehicle's speed after every step, who touches whom, and how long SUMO's step took."""
+    """Notes after every step each vehicle's speed, the contacts, and how long SUMO's step took."""
 
     speeds_mps: defaultdict[tuple[int, str], list[float]]
     contacts: set[tuple[int, str, str]]

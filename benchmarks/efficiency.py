@@ -3,8 +3,8 @@
     python benchmarks/efficiency.py --out runs/efficiency [--seeds 10] [--iterations 60] [--every 4] [--workers 2]
 
 Either learner starts from the same clone. Every so often its policy is driven on traffic that is neither trained nor
-evaluated on, the same for all, and its mean speed set beside the expert's; it has got there when it keeps the share
-over two such looks, of which the first counts. Looking is not timed. A training that never gets there counts as
+evaluated on, the same for all, and its mean speed is compared with the expert's; it has got there when it keeps the
+share over two such looks, of which the first counts. Looking is not timed. A training that never gets there counts as
 longer than all others, and so a median over trainings stands as long as more than half of them get there.
 """
 

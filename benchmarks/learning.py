@@ -3,7 +3,7 @@
     rail-sumo reproduce table1 --seeds 5 && python benchmarks/learning.py runs/reproduce   # every seed's figures
     python benchmarks/learning.py runs/reproduce --control    # RAIL under judges that know nothing, against its clone
 
-A seed's figures are means over its held-out episodes, set beside the expert's on the same traffic.
+A seed's figures are means over its held-out episodes, and ratios to the expert's on the same traffic.
 """
 
 import argparse

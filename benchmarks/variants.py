@@ -1,4 +1,4 @@
-"""Other ways to search and to judge than rail_sumo's own, to be set beside them."""
+"""Other ways to search and to judge than rail_sumo's own, to be compared with them."""
 
 import itertools
 from collections import deque

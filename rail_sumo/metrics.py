@@ -42,7 +42,7 @@ def row(trajectory: Trajectory, adas: Adas) -> dict[str, Any]:
 
 
 def means(trajectories: Sequence[Trajectory]) -> dict[str, float]:
-    """Return what an observer is told of episodes, one or more: the means of some of the table's columns."""
+    """Return the means over one or more episodes that progress reports show, by the table's column names."""
     return {
         "speed_kmh": float(np.mean([_speed_kmh(trajectory) for trajectory in trajectories])),
         "overtakes": float(np.mean([trajectory.overtakes for trajectory in trajectories])),

@@ -36,7 +36,7 @@ Who = str | PolicyParameters | drivers.Expert
 
 @dataclass(frozen=True)
 class Task:
-    """One episode to drive: by whom, in which world, on which traffic."""
+    """One episode to drive: the driver, the world, and the traffic's seed."""
 
     driver: Who
     config: Config
@@ -176,7 +176,7 @@ def _ignoring_ctrl_c() -> Iterator[None]:
 
 
 def _begin() -> None:
-    """In a worker: leave Ctrl-C to the parent, and end with it, lest work go on that nobody knows of."""
+    """In a worker: leave Ctrl-C to the parent, and end when the parent ends, so that no orphan goes on working."""
     signal.signal(signal.SIGINT, signal.SIG_IGN)
     parent = multiprocessing.parent_process()
     assert parent is not None

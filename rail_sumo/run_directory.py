@@ -39,7 +39,7 @@ PROGRESS_COLUMNS = (
     "iteration",
     "environment_steps",  # SUMO steps driven since the start
     "seconds",  # at work since the start, interruptions left out
-    "mean_return",  # of this iteration's rollouts, by whom the learner is rewarded; the next ones likewise
+    "mean_return",  # of this iteration's rollouts: the reward that the learner follows; the next columns too are theirs
     "judge_loss",
     "judge_expert_mean",
     "judge_learner_mean",

@@ -1,4 +1,4 @@
-"""Adaptive cruise control: how fast the host drives behind whoever is ahead. Pure: knows nothing of SUMO.
+"""Adaptive cruise control: how fast the host drives behind the vehicle ahead. Pure: knows nothing of SUMO.
 
 It acts at every SUMO step and only ever lowers the set speed. What it needs beyond its own limits of braking, because
 somebody cuts in or brakes hard, is emergency braking: the car-following model of the host's vehicle type.

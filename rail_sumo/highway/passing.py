@@ -1,4 +1,4 @@
-"""Who passes whom."""
+"""Counts the vehicles that the host overtakes, and those that overtake it."""
 
 import math
 from collections.abc import Callable

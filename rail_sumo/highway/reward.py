@@ -1,6 +1,6 @@
 """What driving is worth, for the expert and the reports; RAIL sees it only where `rail.reward_weight` says so.
 
-The accounting of Min & Kim (IV 2018), from whom the paper takes its simulator, per SUMO step of 0.1 s.
+The accounting of Min & Kim (IV 2018), whose simulator the paper uses, per SUMO step of 0.1 s.
 """
 
 import numpy as np

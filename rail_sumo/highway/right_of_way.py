@@ -11,9 +11,9 @@ NOT_GREEN = YELLOW | frozenset("ru")
 SIGNAL_SHORT_M = 2.5
 """How far before a signal's stop line the host stands. SUMO's own distance is 1 m, and it brakes for that harder."""
 LINE_SHORT_M = 0.3
-"""How far before any other line: SUMO stops 0.1 m before it whoever must wait, ..."""
+"""How far before any other line the host stands. SUMO stops vehicles that must wait 0.1 m before it, ..."""
 CREEP_MPS = 0.2
-"""... and whoever has not come up to it may wait for ever."""
+"""... and a vehicle that stands farther back may wait for ever, so the host creeps on at this speed."""
 SIGHT_M = 4.5
 """How far before a way without priority drivers see who comes, unless the network says otherwise."""
 

@@ -59,9 +59,9 @@ def train(
     """Run RAIL, yielding a `RailState` after every iteration, without end.
 
     It differs from the printed algorithm in line 14, which moves the whitening with the states met so far: the cloned
-    weights are valid only with the whitening they were trained under, so that stays as it is. The first line's loop
-    ends with an episode in print; here it is over iterations, and whoever calls ends it. Line 2 scales the directions
-    by nu twice in print; here once. README lists what else differs.
+    weights are valid only with the whitening they were trained under, so that stays as it is. In
+    print, the first line's loop ends with an episode; here it is over iterations, and the caller ends it. In print,
+    line 2 scales the directions by nu twice; here once. README lists what else differs.
 
     Args:
         theta: the cloned policy, shape (size,).
