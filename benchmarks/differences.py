@@ -41,7 +41,7 @@ def decisions(trajectories, advised) -> pd.DataFrame:
     return pd.concat(
         pd.DataFrame({
             "situation": pd.Categorical.from_codes(situation(one.observations, one.allowed), list(SITUATIONS)),
-            "learner": pd.Categorical.from_codes(one.actions, names),
+            "learner": pd.Categorical.from_codes(one.decisions, names),
             "expert": pd.Categorical.from_codes(advice, names),
         })
         for one, advice in zip(trajectories, advised, strict=True)

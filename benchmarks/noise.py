@@ -49,7 +49,7 @@ def verdicts(learned: RunDirectory, judge, workers: int) -> dict[str, float]:
     unseen = run.record(run.find_driver("expert", world), world, episodes=40, seed=2**31, workers=workers)
 
     def verdict(drives):
-        return float((1 / (1 + np.exp(-judge.rewards(drives.observations, drives.actions)))).mean())
+        return float((1 / (1 + np.exp(-judge.rewards(drives.observations, drives.decisions)))).mean())
 
     return {"its demonstrations": verdict(shown), "other drives of the expert": verdict(unseen)}
 

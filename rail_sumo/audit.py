@@ -68,7 +68,7 @@ def told_apart(learner: Sequence[Trajectory], expert: Sequence[Trajectory]) -> F
 
 def _pairs(episode: Trajectory, whitening: Whitening) -> Tensor:
     """Return what was sensed, whitened, and what was asked for, one-hot; shape (n_decisions, n_features + 5)."""
-    pairs = np.hstack([whitening(episode.observations), np.eye(N_ACTIONS)[episode.actions]])
+    pairs = np.hstack([whitening(episode.observations), np.eye(N_ACTIONS)[episode.decisions]])
     return torch.from_numpy(pairs.astype(np.float32))
 
 

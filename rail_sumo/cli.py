@@ -209,6 +209,8 @@ def reproduce(
     from rail_sumo.experiment import Experiment
 
     chosen = config.load(config_file, _overrides(network, routes, overrides))
+    if cells and (seeds is not None or quick or workers):
+        raise InputError("--cells makes tables of what was driven before: leave out --seeds, --quick and --workers")
     n_seeds = (2 if quick else 10) if seeds is None else seeds
     n_workers = _workers(workers)
     systems = reproduce.chosen(only)

@@ -127,8 +127,8 @@ class Trajectory:
 
     observations: Floats
     """(n_decisions, n_features): what the supervisor saw."""
-    actions: NDArray[np.int64]
-    """(n_decisions,): the `MetaAction` it decided."""
+    decisions: NDArray[np.int64]
+    """(n_decisions,): the `MetaAction` it asked for."""
     carried_out: NDArray[np.int64]
     """(n_decisions,): the `MetaAction` carried out; KEEP for a lane change refused or under way already."""
     allowed: NDArray[np.bool_]

@@ -34,7 +34,7 @@ def evaluate(theta, whitening, perturbations, iteration):
 
 def returns(driven):
     """One for every decision that is the expert's."""
-    return np.array([(trajectory.actions == advice(trajectory.observations)).sum() for trajectory in driven], float)
+    return np.array([(trajectory.decisions == advice(trajectory.observations)).sum() for trajectory in driven], float)
 
 
 def train(iterations, *, whiten, seed=0, returns=returns, theta=None, moments=None, first_iteration=1):

@@ -75,7 +75,7 @@ def test_learner_and_expert_may_change_places():
 def test_in_what_unit_a_feature_is_makes_no_difference():
     learner = driven(100, otherwise(0.5))
     apart = told_apart(learner, EXPERT)
-    rescaled = [[episode(1000.0 * one.observations + 7.0, one.actions) for one in who] for who in (learner, EXPERT)]
+    rescaled = [[episode(1000.0 * one.observations + 7.0, one.decisions) for one in who] for who in (learner, EXPERT)]
     np.testing.assert_allclose(told_apart(*rescaled), apart, atol=0.01)
 
 

@@ -44,7 +44,7 @@ def test_every_rollout_is_added_with_the_experts_decisions_and_fitted_to():
     ((driven, advised),) = advise(theta, 1)
     np.testing.assert_array_equal(first.labelled.observations[20:], driven.observations)
     np.testing.assert_array_equal(first.labelled.actions[20:], advised)
-    assert not np.array_equal(driven.actions, advised)
+    assert not np.array_equal(driven.decisions, advised)
     np.testing.assert_array_equal(first.theta, fit(first.labelled))
     assert first.step_norm == np.linalg.norm(first.theta - theta)
     assert [len(state.labelled.actions) for state in (first, second)] == [32, 44]

@@ -91,7 +91,7 @@ def test_the_returns_of_many_are_those_of_each():
     judged = judge()
     many = [rollout(5), rollout(1), rollout(30, "collision"), rollout(8)]
     assert judged.returns(many) == pytest.approx([judged.returns([one])[0] for one in many])
-    assert judged.returns(many)[0] == pytest.approx(judged.rewards(many[0].observations, many[0].actions).mean())
+    assert judged.returns(many)[0] == pytest.approx(judged.rewards(many[0].observations, many[0].decisions).mean())
 
 
 @pytest.mark.parametrize("end_reason", ["duration", "course", "end of road", "standstill"])

@@ -359,12 +359,12 @@ def test_an_episode_under_way_has_not_ended(make):
     env.reset(seed=0)
     env.step(KEEP)
     so_far = env.trajectory()
-    assert (so_far.end_reason, len(so_far.lane_changing), len(so_far.actions)) == (None, 10, 1)
+    assert (so_far.end_reason, len(so_far.lane_changing), len(so_far.decisions)) == (None, 10, 1)
 
 
 def test_the_duration_ends_the_episode(make):
     driven = drive(make(world(episode={"duration_s": 12.0})), always(KEEP))
-    assert (driven.end_reason, len(driven.lane_changing), len(driven.actions)) == ("duration", 120, 12)
+    assert (driven.end_reason, len(driven.lane_changing), len(driven.decisions)) == ("duration", 120, 12)
 
 
 def test_what_detectors_report_replaces_nothing_and_is_not_kept(make, tmp_path):
@@ -417,7 +417,7 @@ def test_an_action_that_there_is_not_leaves_the_episode_as_it_was(make):
         env.step(5)
     _, _, _, over, info = [env.step(0) for _ in range(3)][-1]
     assert over
-    assert {len(info["trajectory"].observations), len(info["trajectory"].actions)} == {3}
+    assert {len(info["trajectory"].observations), len(info["trajectory"].decisions)} == {3}
 
 
 def test_additional_files_are_loaded(make, tmp_path):
@@ -686,7 +686,7 @@ def test_with_a_demand_of_ones_own_only_its_vehicles_are_on_the_road(make):
 
 def test_who_does_not_ask_is_told_nothing(make):
     driven = drive(make(world(episode={"duration_s": 20.0})), at_random(1))
-    assert driven.allowed.shape == (len(driven.actions), 5)
+    assert driven.allowed.shape == (len(driven.decisions), 5)
     assert driven.allowed.all()
 
 
@@ -739,4 +739,4 @@ def test_what_came_of_each_decision_is_noted(make):
     driven = env.trajectory()
     np.testing.assert_array_equal(driven.carried_out, came)
     np.testing.assert_array_equal(driven.allowed, told)
-    assert 0 < driven.refused_decisions < (driven.carried_out != driven.actions).sum()  # others were under way
+    assert 0 < driven.refused_decisions < (driven.carried_out != driven.decisions).sum()  # others were under way

@@ -82,7 +82,7 @@ def test_rewarded_for_one_action_alone_it_takes_that_more_often():
     for iteration in range(10):
         improved.update(sample(improved.theta(), iteration), left_alone, np.random.default_rng(iteration))
     before, after = (
-        np.mean([trajectory.actions == EXPERT_ACTIONS[1] for trajectory in sample(theta, 99)])
+        np.mean([trajectory.decisions == EXPERT_ACTIONS[1] for trajectory in sample(theta, 99)])
         for theta in (wrong_everywhere(), improved.theta())
     )
     assert after > before + 0.2

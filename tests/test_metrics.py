@@ -28,7 +28,7 @@ def trajectory(speed_mps, **changes):
     )
     uneventful = Trajectory(
         observations=np.empty((0, 48)),
-        actions=np.empty(0, dtype=np.int64),
+        decisions=np.empty(0, dtype=np.int64),
         carried_out=np.empty(0, dtype=np.int64),
         allowed=np.empty((0, 5), dtype=np.bool_),
         speed_mps=speed_mps,

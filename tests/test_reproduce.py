@@ -112,8 +112,8 @@ def told_apart(learner, expert):
     """Stands in for the classifier: from 0.5 for the same decisions to 1 for none of them; 0.48 on other traffic."""
     if [one.seed for one in learner] != [one.seed for one in expert]:
         return np.full(len(learner), 0.48)
-    assert all((one.actions != MetaAction.DECELERATE).all() for one in expert)  # this is the expert indeed
-    return np.array([0.5 + 0.5 * (a.actions != b.actions).mean() for a, b in zip(learner, expert, strict=True)])
+    assert all((one.decisions != MetaAction.DECELERATE).all() for one in expert)  # this is the expert indeed
+    return np.array([0.5 + 0.5 * (a.decisions != b.decisions).mean() for a, b in zip(learner, expert, strict=True)])
 
 
 def table1(world, out, systems=tuple(SYSTEMS), *, episodes=N_EPISODES, **how):

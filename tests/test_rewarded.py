@@ -12,7 +12,7 @@ from rail_sumo.records import MetaAction
 
 def braking(trajectory):
     """What an environment earns them that likes nothing but braking, which the expert never does."""
-    return float((trajectory.actions == MetaAction.DECELERATE).sum())
+    return float((trajectory.decisions == MetaAction.DECELERATE).sum())
 
 
 def like_the_expert():

@@ -157,7 +157,7 @@ def test_a_rollout_is_the_episode_driven_by_hand():
     env.close()
     assert same(drive(Task(driver, MINUTE, 11)), by_hand)
     # Each observation was answered by the policy.
-    assert [policy(seen) for seen in by_hand.observations] == by_hand.actions.tolist()
+    assert [policy(seen) for seen in by_hand.observations] == by_hand.decisions.tolist()
 
 
 def test_a_task_travels_whole():
@@ -232,10 +232,10 @@ def test_advised_it_drives_as_it_would_and_the_advice_is_the_advisers_on_what_wa
     assert same(dataclasses.replace(driven, allowed=alone.allowed), alone)
     assert alone.allowed.all()
     assert not driven.allowed.all()  # which the adviser has asked for
-    assert len(advice) == len(driven.actions)
-    assert not np.array_equal(advice, driven.actions)
+    assert len(advice) == len(driven.decisions)
+    assert not np.array_equal(advice, driven.decisions)
     by_expert = drive(Task(expert, MINUTE, 9))
-    own, advised = by_expert.actions, rollout.drive_advised(Task(expert, MINUTE, 9, adviser=expert))[1]
+    own, advised = by_expert.decisions, rollout.drive_advised(Task(expert, MINUTE, 9, adviser=expert))[1]
     np.testing.assert_array_equal(advised, own)
 
 

@@ -35,7 +35,7 @@ def drive(task):
         actions = np.where(observations[:, 0] > 0, 1, 2)
     return Trajectory(
         observations=observations,
-        actions=actions,
+        decisions=actions,
         carried_out=actions,
         allowed=np.ones((len(actions), 5), dtype=np.bool_),
         speed_mps=np.full(201, 15.0 + (actions == 1).sum()),
@@ -280,7 +280,7 @@ def test_a_reward_that_is_to_count_is_the_environments_by_the_decision(small, dr
         run.train(world, tmp_path / str(weight), seed=1)
         returns.append(pd.read_csv(tmp_path / str(weight) / PROGRESS)["mean_return"][0])
     first_iteration = [drive(task) for task in driven[: 2 * small.search.n_directions]]
-    earned = np.mean([total_reward(one, small.adas) / len(one.actions) for one in first_iteration])
+    earned = np.mean([total_reward(one, small.adas) / len(one.decisions) for one in first_iteration])
     assert returns[1] - returns[0] == pytest.approx(2.0 * earned)
 
 

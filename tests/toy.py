@@ -47,7 +47,7 @@ def episode(observations, actions, end_reason="duration", seed=0, carried_out=No
     """An episode in which only decisions were made."""
     return Trajectory(
         observations=np.asarray(observations, dtype=np.float64),
-        actions=np.asarray(actions, dtype=np.int64),
+        decisions=np.asarray(actions, dtype=np.int64),
         carried_out=np.asarray(actions if carried_out is None else carried_out, dtype=np.int64),
         allowed=np.ones((len(actions), 5), dtype=np.bool_),
         speed_mps=np.full(len(actions) + 1, 20.0),

@@ -101,7 +101,7 @@ class HighwayEnv(gymnasium.Env[Floats, np.int64]):
         self._layout.reset()
         self._overtakes = self._overtaken = 0
         self._observations: list[Floats] = []
-        self._actions: list[int] = []
+        self._decisions: list[int] = []
         self._carried_out: list[int] = []
         self._allowed: list[list[bool]] = []
         self._told = None
@@ -194,7 +194,7 @@ class HighwayEnv(gymnasium.Env[Floats, np.int64]):
         due = min(self._period_steps, self._duration_steps - len(self._lane_changing))
         decided = MetaAction(action)
         self._observations.append(self._observation)
-        self._actions.append(decided)
+        self._decisions.append(decided)
         host = simulation.host.state()
         self._carried_out.append(adas.decide(decided, host, simulation.host.gaps))
         self._allowed.append(self._told or ALL_ALLOWED)
@@ -298,7 +298,7 @@ class HighwayEnv(gymnasium.Env[Floats, np.int64]):
         assert self._simulation is not None
         return Trajectory(
             observations=np.array(self._observations),
-            actions=np.array(self._actions, dtype=np.int64),
+            decisions=np.array(self._decisions, dtype=np.int64),
             carried_out=np.array(self._carried_out, dtype=np.int64),
             allowed=np.array(self._allowed, dtype=np.bool_),
             speed_mps=np.array(self._simulation.host.speeds_mps),

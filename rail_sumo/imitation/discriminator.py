@@ -105,7 +105,7 @@ class Discriminator:
         if not trajectories:
             return np.empty(0)
         rewards = self.rewards(*_decisions(trajectories))
-        ends = np.cumsum([len(trajectory.actions) for trajectory in trajectories])
+        ends = np.cumsum([len(trajectory.decisions) for trajectory in trajectories])
         return np.array(
             [
                 self._return(of_rollout, crashed=trajectory.end_reason == "collision")
@@ -151,7 +151,7 @@ def _decisions(trajectories: Sequence[Trajectory]) -> tuple[Floats, NDArray[np.i
     The expert's data hold no refused lane changes. If refused requests counted as lane changes, an unmasked learner
     would be pushed below the expert's number.
     """
-    if not all(len(trajectory.actions) for trajectory in trajectories):
+    if not all(len(trajectory.decisions) for trajectory in trajectories):
         raise ValueError("a rollout must have at least one decision to be judged by")
     observations = np.concatenate([trajectory.observations for trajectory in trajectories])
     return observations, np.concatenate([trajectory.carried_out for trajectory in trajectories])

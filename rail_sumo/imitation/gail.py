@@ -207,11 +207,11 @@ class Ppo:
         observations = torch.from_numpy(self._whitening(trajectory.observations).astype(np.float32))
         with torch.no_grad():
             values, log_probs, _ = self._ppo.policy.evaluate_actions(
-                observations, torch.from_numpy(trajectory.actions), action_masks=torch.from_numpy(trajectory.allowed)
+                observations, torch.from_numpy(trajectory.decisions), action_masks=torch.from_numpy(trajectory.allowed)
             )
         earned = rewards(trajectory.observations, trajectory.carried_out)
         starts = np.arange(len(earned)) == 0
-        decided = (observations.numpy(), trajectory.actions, trajectory.allowed)
+        decided = (observations.numpy(), trajectory.decisions, trajectory.allowed)
         columns = (*decided, earned, starts, values.numpy()[:, 0], log_probs.numpy())
         if trajectory.end_reason == "collision":
             earned[-1] += self._ppo.gamma / (1 - self._ppo.gamma) * self._lowest_reward

@@ -42,6 +42,6 @@ class Rewarded:
         return self._judge.returns(trajectories) + self._weight * earned
 
     def _per_decision(self, trajectory: Trajectory) -> float:
-        earned, decided = self._reward(trajectory), len(trajectory.actions)
+        earned, decided = self._reward(trajectory), len(trajectory.decisions)
         gains_no_more = trajectory.end_reason == "collision" and earned > 0.0
         return earned / (max(decided, self._horizon_decisions) if gains_no_more else decided)
