@@ -12,7 +12,7 @@ from rich.console import Console
 from rich.table import Table
 
 from rail_sumo import config
-from rail_sumo.highway import road
+from rail_sumo.highway.network import road
 from rail_sumo.highway.simulation import HOST, Simulation
 from rail_sumo.records import KMH, SECONDS_PER_STEP, Command
 

@@ -22,9 +22,9 @@ from numpy.typing import NDArray
 
 from rail_sumo import drivers
 from rail_sumo.config import Config, Traffic
-from rail_sumo.highway import road
 from rail_sumo.highway.env import HighwayEnv
-from rail_sumo.highway.road import Road
+from rail_sumo.highway.network import road
+from rail_sumo.highway.network.road import Road
 from rail_sumo.records import KMH, Floats, Scene
 
 BEHIND_M, AHEAD_M = 44.0, 66.0

@@ -20,10 +20,10 @@ from rich.progress import BarColumn, MofNCompleteColumn, Progress, TaskID, TextC
 
 from rail_sumo import assets, config, files
 from rail_sumo.errors import InputError
-from rail_sumo.highway import sumocfg
+from rail_sumo.highway.network import sumocfg
 
 if TYPE_CHECKING:
-    from rail_sumo.highway.road import Road
+    from rail_sumo.highway.network.road import Road
     from rail_sumo.run import Tables
 
 app = typer.Typer(
@@ -320,7 +320,7 @@ def check(
 @network.command("list")
 def list_networks() -> None:
     """List the networks that come with rail-sumo."""
-    from rail_sumo.highway import road
+    from rail_sumo.highway.network import road
 
     for name in assets.network_names():
         print(_describe(road.load(name)))

@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from rail_sumo import assets, drivers, metrics, registry, rollout
 from rail_sumo.config import Config
 from rail_sumo.errors import InputError
-from rail_sumo.highway import demand
+from rail_sumo.highway.network import demand
 from rail_sumo.highway.observation import feature_names
 from rail_sumo.highway.reward import total_reward
 from rail_sumo.imitation.demonstrations import Demonstrations

@@ -61,7 +61,7 @@ BAD = {
     "train --set train.learner=sac": "learner 'sac' not found (available: ars, bc, dagger, gail, rail); one ",
     "train --set train.learner=bc --set train.iterations=3": "learner 'bc' has no iterations, got 3; leave them out",
     "reproduce table1 --seeds 0": "--seeds must be at least 1; got 0",
-    "reproduce table1 --cells cells.parquet --quick": "--cells makes tables of what was driven before: leave out --seeds",
+    "reproduce table1 --cells cells.parquet --quick": "--cells makes tables of what was driven before: leave out --s",
     "reproduce table1 --out file/out": "cannot write to 'file/out': '",
     "train no.toml": "configuration 'no.toml' is not valid TOML: ",
     "train --set search.noise=1": "configuration: unknown key 'search.noise'; did you mean 'search.noise_std'? (",

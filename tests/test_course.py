@@ -6,7 +6,7 @@ import pytest
 from sketch import edge, leads_on
 
 from rail_sumo.errors import InputError
-from rail_sumo.highway import road
+from rail_sumo.highway.network import road
 
 
 def course(file, *wanted):

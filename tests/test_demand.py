@@ -4,7 +4,7 @@ import pytest
 
 from rail_sumo import assets
 from rail_sumo.errors import InputError
-from rail_sumo.highway import demand
+from rail_sumo.highway.network import demand
 
 
 def written(tmp_path, content, name="own.rou.xml"):

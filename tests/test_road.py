@@ -10,7 +10,7 @@ from sketch import edge, leads_on
 
 from rail_sumo import assets
 from rail_sumo.errors import InputError
-from rail_sumo.highway import road
+from rail_sumo.highway.network import road
 
 RING_RADIUS_M, RING_HALF_WIDTH_M = 500.0, 8.0
 

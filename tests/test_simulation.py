@@ -10,8 +10,8 @@ import pytest
 
 from rail_sumo import config
 from rail_sumo.errors import InputError
-from rail_sumo.highway import road
 from rail_sumo.highway.adas import SUMO_DECIDES, Adas
+from rail_sumo.highway.network import road
 from rail_sumo.highway.simulation import HOST, Simulation
 from rail_sumo.records import KMH, Command, MetaAction, Scene
 

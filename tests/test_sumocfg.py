@@ -4,8 +4,8 @@ import pytest
 
 from rail_sumo import config
 from rail_sumo.errors import InputError
-from rail_sumo.highway import sumocfg
-from rail_sumo.highway.sumo_xml import seconds
+from rail_sumo.highway.network import sumocfg
+from rail_sumo.highway.network.sumo_xml import seconds
 
 FULL = """<sumoConfiguration>
     <input>

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from rail_sumo import config
-from rail_sumo.highway import road
+from rail_sumo.highway.network import road
 from rail_sumo.highway.simulation import HOST, Simulation
 from rail_sumo.highway.traffic import CLEAR_OF_ANOTHER_M, CLEAR_OF_HOST_M, START_GAP_M, MovingWindow
 from rail_sumo.records import KMH, Command

@@ -15,13 +15,14 @@ from rail_sumo.config import Adas as AdasConfig
 from rail_sumo.config import Config
 from rail_sumo.config import Lidar as LidarConfig
 from rail_sumo.errors import InputError
-from rail_sumo.highway import demand, road, sumo_errors
+from rail_sumo.highway import sumo_errors
 from rail_sumo.highway.adas import Adas, HandsOff, lanes_leading_on
 from rail_sumo.highway.lidar import Lidar
+from rail_sumo.highway.network import demand, road
+from rail_sumo.highway.network.road import Road
 from rail_sumo.highway.observation import Layout
 from rail_sumo.highway.passing import NEAR_M, PassCounter
 from rail_sumo.highway.reward import reward
-from rail_sumo.highway.road import Road
 from rail_sumo.highway.simulation import HOST, Simulation
 from rail_sumo.highway.traffic import MovingWindow
 from rail_sumo.records import KMH, SECONDS_PER_STEP, EndReason, Floats, Gaps, HostState, MetaAction, Scene, Trajectory

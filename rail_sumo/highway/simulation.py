@@ -11,9 +11,9 @@ import numpy as np
 from rail_sumo import config
 from rail_sumo.errors import InputError
 from rail_sumo.highway import placing, sumo_errors
-from rail_sumo.highway.demand import HOST, OURS, folders_written
 from rail_sumo.highway.host import HOST_TYPE, Host, way_of
-from rail_sumo.highway.road import Road
+from rail_sumo.highway.network.demand import HOST, OURS, folders_written
+from rail_sumo.highway.network.road import Road
 from rail_sumo.records import SECONDS_PER_STEP, Command, Scene
 
 # Ids that no demand of a user's has; the types' are those of the two files below.

@@ -10,7 +10,7 @@ from typing import ParamSpec, TypeVar
 import libsumo
 
 from rail_sumo.errors import InputError
-from rail_sumo.highway.demand import HOST
+from rail_sumo.highway.network.demand import HOST
 
 SUMO_ERRORS = (libsumo.TraCIException, libsumo.FatalTraCIError)
 

@@ -5,7 +5,7 @@ from itertools import count
 import numpy as np
 
 from rail_sumo import config
-from rail_sumo.highway.road import Road
+from rail_sumo.highway.network.road import Road
 from rail_sumo.highway.simulation import HOST, Simulation
 from rail_sumo.records import KMH
 

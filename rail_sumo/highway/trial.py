@@ -4,9 +4,9 @@ import math
 from collections.abc import Iterator
 
 from rail_sumo.config import Config
-from rail_sumo.highway import demand, road
 from rail_sumo.highway.env import HighwayEnv
-from rail_sumo.highway.road import Road
+from rail_sumo.highway.network import demand, road
+from rail_sumo.highway.network.road import Road
 
 
 def check(world: Config) -> tuple[Road, list[str]]:

@@ -16,9 +16,9 @@ import sumolib.net
 
 from rail_sumo import assets
 from rail_sumo.errors import InputError
-from rail_sumo.highway import course
-from rail_sumo.highway.course import CAR, car_lanes, connections
-from rail_sumo.highway.sumo_xml import UNREADABLE, opened, state_of
+from rail_sumo.highway.network import course
+from rail_sumo.highway.network.course import CAR, car_lanes, connections
+from rail_sumo.highway.network.sumo_xml import UNREADABLE, opened, state_of
 from rail_sumo.records import Floats
 
 NARROWEST_LANE_M = 2.4

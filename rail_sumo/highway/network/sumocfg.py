@@ -6,7 +6,7 @@ from pathlib import Path
 from typing import Any
 
 from rail_sumo.errors import InputError
-from rail_sumo.highway.sumo_xml import UNKNOWN_ENCODING, UNREADABLE, opened, seconds
+from rail_sumo.highway.network.sumo_xml import UNKNOWN_ENCODING, UNREADABLE, opened, seconds
 
 SUFFIX = ".sumocfg"
 

@@ -8,7 +8,7 @@ from pathlib import Path
 
 from rail_sumo import assets
 from rail_sumo.errors import InputError
-from rail_sumo.highway.sumo_xml import UNKNOWN_ENCODING, UNREADABLE, opened, seconds, state_of
+from rail_sumo.highway.network.sumo_xml import UNKNOWN_ENCODING, UNREADABLE, opened, seconds, state_of
 
 TRAFFIC_ELEMENTS = ("vehicle", "flow", "trip")
 """Elements that put somebody on the road."""

@@ -1,0 +1,1 @@
+"""What a user's files say: networks, demand, configurations."""
