@@ -20,7 +20,7 @@ from rich.progress import BarColumn, MofNCompleteColumn, Progress, TaskID, TextC
 
 from rail_sumo import assets, config, files
 from rail_sumo.errors import InputError
-from rail_sumo.highway.network import sumocfg
+from rail_sumo.highway.network.sumo_xml import is_configuration
 
 if TYPE_CHECKING:
     from rail_sumo.highway.network.road import Road
@@ -329,10 +329,12 @@ def list_networks() -> None:
 def _overrides(network: str | None, routes: list[str] | None, overrides: list[str] | None) -> list[str]:
     """Return the options that choose a world as overrides of the configuration."""
     world: dict[str, Any] = {}
-    if network and Path(network).suffix == sumocfg.SUFFIX:
-        world, unread = sumocfg.read(Path(network))
-        if unread:
-            print(f"rail-sumo: not read of '{network}': {', '.join(unread)}", file=sys.stderr)
+    if network and is_configuration(Path(network)):
+        from rail_sumo.highway.network import sumocfg  # SUMO takes half a second to import
+
+        world, left_out = sumocfg.read(Path(network))
+        if left_out:
+            print(f"rail-sumo: sets these options of '{network}' itself: {', '.join(left_out)}", file=sys.stderr)
     elif network:
         world = {"network.file": network}
     if routes:

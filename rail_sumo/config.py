@@ -67,8 +67,11 @@ class Traffic(_Section):
     routes: tuple[str, ...] = ()
     """The user's demand files (`.rou.xml`); empty for the moving window."""
     additional: tuple[str, ...] = ()
-    """SUMO's additional files: stops, signal programs, variable speed signs and the like. What detectors in them
-    report is not kept, and nothing in them may take the host off the road."""
+    """SUMO's additional files: stops, signal programs, vehicles too. What detectors in them report is not kept, and
+    nothing in them may take the host off the road."""
+    options: tuple[str, ...] = ()
+    """Further options of SUMO's, such as "scale=2", by their names on its command line; not those that are rail-sumo's
+    to set: time, contacts, outputs."""
     vehicles: Annotated[int, Field(ge=0, le=500)] = 18
     """In the moving window, beside the host."""
     ahead_m: Annotated[float, Field(ge=50.0, le=2000.0)] = 250.0

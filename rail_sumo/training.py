@@ -378,13 +378,14 @@ def _demonstrations_file(config: Config) -> Path:
 
 def inputs_of(config: Config) -> dict[str, str]:
     """Return the SHA-256 of every file that a training with this configuration reads, by the key that names it."""
-    routes, additional = demand.check(config.traffic.routes, config.traffic.additional)
+    traffic = demand.read(config.traffic)
     inputs = {
         "network.file": assets.sha256(assets.network(config.network.file)),
-        "traffic.routes": " ".join(map(assets.sha256, routes)),
+        "traffic.routes": " ".join(map(assets.sha256, traffic.routes)),
     }
-    if additional:
-        inputs["traffic.additional"] = " ".join(map(assets.sha256, additional))
+    others = [file for file in traffic.files if file not in traffic.routes]
+    if others:
+        inputs["traffic.additional"] = " ".join(map(assets.sha256, others))
     if learner_of(config).reads_demonstrations:
         inputs["train.demonstrations"] = assets.sha256(_demonstrations_file(config))
     if learner_of(config).asks_the_expert:

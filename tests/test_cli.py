@@ -95,7 +95,7 @@ BAD = {
     "eval keep --workers ray --fcd --out new": "floating-car data are written on this machine: drive with a number of",
     "eval keep --network highwy5": "network 'highwy5' not found; did you mean 'highway5'? (available: highway3, ",
     "eval keep --network none.net.xml": "network file 'none.net.xml' does not exist (current folder: ",
-    "eval keep --network none.sumocfg": "cannot read 'none.sumocfg': No such file or directory",
+    "eval keep --network none.sumocfg": "network file 'none.sumocfg' does not exist (current folder: ",
     "eval keep --network cut.sumocfg": "cannot read 'cut.sumocfg': ",
     "eval keep --set network.file=cut.sumocfg": "network 'cut.sumocfg' is not a complete XML file: ",
     "eval keep --network cut.net.xml": "network 'cut.net.xml' is not a complete XML file: ",
@@ -197,18 +197,19 @@ def test_whatever_drives_takes_a_network_and_a_demand(world_of, command):
     assert world.traffic.begin_s == 5.0
 
 
-def test_a_sumocfg_brings_its_network_and_demand_and_what_is_not_read_of_it_is_told_once(rail_sumo, tmp_path):
+def test_a_sumocfg_brings_its_network_demand_and_options_and_what_is_ours_is_told_once(rail_sumo, tmp_path):
     (tmp_path / "a").mkdir()
     (tmp_path / "a" / "my.net.xml").write_bytes(assets.network("highway3").read_bytes())
     (tmp_path / "a" / "my.rou.xml").write_bytes(assets.routes("highway3").read_bytes())
-    options = '<net-file value="my.net.xml"/><route-files value="my.rou.xml"/><begin value="0:02:00"/><scale v="0.5"/>'
+    options = '<n value="my.net.xml"/><r value="my.rou.xml"/><begin value="0:02:00"/><scale v="0.5"/><end v="9"/>'
     (tmp_path / "a" / "my.sumocfg").write_text(f"<configuration>{options}</configuration>")
-    note = "rail-sumo: not read of 'a/my.sumocfg': scale\n"
+    note = "rail-sumo: sets these options of 'a/my.sumocfg' itself: end\n"
     code, printed, err = rail_sumo("config", "--network", "a/my.sumocfg")
     (tmp_path / "read.toml").write_text(printed)
     world = config.load(tmp_path / "read.toml")
     assert (world.network.file, world.traffic.routes) == ("a/my.net.xml", ("a/my.rou.xml",))
     assert (world.traffic.begin_s, code, err) == (120.0, 0, note)
+    assert world.traffic.options == ("scale=0.5", "time-to-teleport=300")
     code, out, err = rail_sumo("network", "check", "a/my.sumocfg")
     assert (code, out, err) == (0, "my: road of 8,200 m with 3 lanes\nedges: highway\n", note)
     others = ("--routes", "highway3", "--set", "traffic.begin_s=9")

@@ -2,7 +2,7 @@ from pathlib import Path
 
 import pytest
 
-from rail_sumo import assets
+from rail_sumo import assets, config
 from rail_sumo.errors import InputError
 from rail_sumo.highway.network import demand
 
@@ -13,74 +13,120 @@ def written(tmp_path, content, name="own.rou.xml"):
     return str(path)
 
 
+def read(routes=(), additional=(), options=()):
+    return demand.read(config.Traffic(routes=tuple(routes), additional=tuple(additional), options=tuple(options)))
+
+
 @pytest.mark.parametrize("element", ["vehicle", "flow", "trip"])
 def test_demand_with_traffic_passes_though_it_lies_in_another_file_than_the_types(tmp_path, element):
     types = written(tmp_path, '<routes><vType id="car"/></routes>', "types.rou.xml")
     traffic = written(tmp_path, f'<routes><{element} id="0"/></routes>')
-    assert [str(path) for path in demand.check([types, traffic])[0]] == [types, traffic]
+    assert [str(path) for path in read([types, traffic]).routes] == [types, traffic]
     with pytest.raises(InputError, match="has no <vehicle>, <flow> or <trip>"):
-        demand.check([types])
+        read([types])
 
 
 def test_shipped_demand_passes_and_no_demand_is_no_mistake():
     names = assets.network_names()
-    assert [path.name for path in demand.check(names)[0]] == [f"{name}.rou.xml" for name in names]
-    assert demand.check([]) == ((), ())
+    assert [path.name for path in read(names).routes] == [f"{name}.rou.xml" for name in names]
+    assert read(names).has_traffic
+    assert not read().has_traffic
 
 
 def test_broken_or_missing_demand_is_refused(tmp_path):
     with pytest.raises(InputError, match=r"^routes 'higway5' not found; did you mean 'highway5'\?"):
-        demand.check(["higway5"])
+        read(["higway5"])
     with pytest.raises(InputError, match="is not a complete XML file: no element found"):
-        demand.check([written(tmp_path, '<routes><vehicle id="0"/>')])
+        read([written(tmp_path, '<routes><vehicle id="0"/>')])
     with pytest.raises(InputError, match="is not a complete XML file: multi-byte encodings are not supported"):
-        demand.check([written(tmp_path, '<?xml version="1.0" encoding="GBK"?><routes/>')])
+        read([written(tmp_path, '<?xml version="1.0" encoding="GBK"?><routes/>')])
 
 
-def test_additional_files_are_read_too_and_refused_in_the_place_of_routes(tmp_path):
+def test_additional_files_are_read_too_and_told_in_the_place_of_routes(tmp_path):
     traffic = written(tmp_path, '<routes><vehicle id="0"/></routes>')
     stops = written(tmp_path, '<additional><busStop id="s"/></additional>', "stops.add.xml")
-    assert [str(path) for path in demand.check([traffic], [stops])[1]] == [stops]
-    with pytest.raises(
-        InputError, match=r"has <busStop>, which .* move it to a file of its own, and name that in traffic\.additional$"
-    ):
-        demand.check([traffic, stops])
+    assert [str(path) for path in read([traffic], [stops]).additional] == [stops]
+    assert not list(demand.warnings(read([traffic], [stops])))
+    (told,) = demand.warnings(read([traffic, stops]))
+    assert "has <busStop>, which SUMO reads from additional files only; move it to a file of its own, and " in told
     with pytest.raises(InputError, match=r"^additional file 'none\.add\.xml' does not exist"):
-        demand.check([traffic], ["none.add.xml"])
+        read([traffic], ["none.add.xml"])
     with pytest.raises(InputError, match=r"no element found"):
-        demand.check([traffic], [written(tmp_path, "<additional>", "cut.add.xml")])
+        read([traffic], [written(tmp_path, "<additional>", "cut.add.xml")])
 
 
-def test_vehicles_in_an_additional_file_are_refused_beside_made_traffic_alone(tmp_path):
-    trips = written(tmp_path, '<additional><trip id="0"/></additional>', "trips.add.xml")
-    with pytest.raises(
-        InputError, match=r"trips\.add\.xml' puts vehicles on the road.* traffic\.routes \(--routes\), "
-    ):
-        demand.check([], [trips])
-    traffic = written(tmp_path, '<routes><vehicle id="1"/></routes>')
-    assert [str(path) for path in demand.check([traffic], [trips])[1]] == [trips]
+def test_vehicles_in_an_additional_file_are_a_demand_too(tmp_path):
+    trips = written(tmp_path, '<additional><trip id="0" depart="30"/></additional>', "trips.add.xml")
+    assert read([], [trips]).has_traffic
+    assert read([], [trips]).departs_s == (30.0, 30.0)
 
 
-def test_an_included_file_is_refused_by_name(tmp_path):
-    with pytest.raises(InputError, match=r"own\.rou\.xml' includes 'more\.rou\.xml', .*; name that file itself$"):
-        demand.check([written(tmp_path, '<routes><include href="more.rou.xml"/></routes>')])
+def test_included_files_are_read_in_the_place_of_their_names(tmp_path):
+    (tmp_path / "parts").mkdir()
+    written(tmp_path, '<routes><include href="flows.xml"/></routes>', "parts/all.xml")
+    written(tmp_path, '<routes><flow id="f" begin="10" end="20"/></routes>', "parts/flows.xml")
+    found = read([written(tmp_path, '<routes><include href="parts/all.xml"/></routes>')])
+    assert [path.relative_to(tmp_path).as_posix() for path in found.files] == [
+        *("own.rou.xml", "parts/all.xml", "parts/flows.xml")
+    ]
+    assert found.has_traffic
 
 
-def test_the_folders_that_detectors_write_into_are_known(tmp_path):
+@pytest.mark.parametrize(
+    ("href", "said"),
+    [
+        ("own.rou.xml", "includes 'own.rou.xml', which includes it in turn"),
+        ("round.xml", "round.xml' includes 'own.rou.xml', which includes it in turn"),
+        ("none.xml", "includes 'none.xml', which does not exist; correct its <include>"),
+    ],
+)
+def test_a_file_that_includes_itself_or_nothing_is_refused(tmp_path, href, said):
+    written(tmp_path, '<routes><include href="own.rou.xml"/></routes>', "round.xml")
+    with pytest.raises(InputError, match=said):
+        read([written(tmp_path, f'<routes><include href="{href}"/></routes>')])
+
+
+@pytest.mark.parametrize(
+    ("element", "span_s"),
+    [
+        ('<vehicle id="v" depart="0:01:30"/>', (90.0, 90.0)),
+        ('<flow id="f" begin="10" end="70" number="3"/><trip id="t" depart="90"/>', (10.0, 90.0)),
+        ('<flow id="f" end="70" period="3"/>', (0.0, 70.0)),
+        ('<flow id="f" begin="5" vehsPerHour="60"/>', (5.0, float("inf"))),
+    ],
+)
+def test_when_the_first_and_the_last_depart_is_known(tmp_path, element, span_s):
+    assert read([written(tmp_path, f"<routes>{element}</routes>")]).departs_s == span_s
+
+
+def test_the_folders_that_a_demand_writes_into_are_known(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
     detectors = '<e1Detector id="d" file="e1.xml"/><calibrator id="c" output="sub/c.xml"/><edgeData file="/dev/null"/>'
-    path = Path(written(tmp_path, f"<additional>{detectors}</additional>", "d.add.xml"))
-    assert demand.folders_written([path]) == {tmp_path, tmp_path / "sub", Path("/dev")}
+    path = written(tmp_path, f"<additional>{detectors}</additional>", "d.add.xml")
+    assert read([], [path]).folders_written == {tmp_path, tmp_path / "sub", Path("/dev")}
+    device = '<vType id="t"><param key="device.ssm.file" value="ssm/all.xml"/></vType><trip id="0"/>'
+    assert tmp_path / "ssm" in read([written(tmp_path, f"<routes>{device}</routes>")]).folders_written
+    assert not read().folders_written
+
+
+def test_options_of_sumos_are_names_and_values_and_not_ours():
+    assert read(options=["scale=2", "default.speeddev=0.1"]).options == {"scale": "2", "default.speeddev": "0.1"}
+    with pytest.raises(InputError, match="takes SUMO's options as name=value, for example scale=2; got 'scale'"):
+        read(options=["scale"])
+    for ours in ("step-length", "end", "seed", "fcd-output", "collision.action", "begin", "device.ssm.file"):
+        with pytest.raises(InputError, match=f"SUMO's option '{ours}' is rail-sumo's to set; leave it out"):
+            read(options=[f"{ours}=1"])
 
 
 @pytest.mark.parametrize("element", ['<vType id="rail_sumo_host"/>', '<vehicle id="rail_sumo_host" depart="90"/>'])
 def test_our_own_ids_are_refused(tmp_path, element):
     with pytest.raises(InputError, match=r"has the id 'rail_sumo_host'; ids that begin with rail_sumo_ are"):
-        demand.check([written(tmp_path, f'<routes>{element}<vehicle id="0"/></routes>')])
+        read([written(tmp_path, f'<routes>{element}<vehicle id="0"/></routes>')])
 
 
 def test_a_comma_in_a_path_is_refused(tmp_path):
     with pytest.raises(InputError, match="has a comma in its path, where SUMO would split it in two; rename it"):
-        demand.check([written(tmp_path, '<routes><vehicle id="0"/></routes>', "a,b.rou.xml")])
+        read([written(tmp_path, '<routes><vehicle id="0"/></routes>', "a,b.rou.xml")])
 
 
 @pytest.mark.parametrize(
@@ -97,12 +143,12 @@ def test_a_comma_in_a_path_is_refused(tmp_path):
 def test_departures_out_of_order_are_told(tmp_path, departures, late):
     vehicles = "".join(f'<vehicle id="v{k}" depart="{at}"/>' for k, at in enumerate(departures))
     path = written(tmp_path, f'<routes>{vehicles}<flow id="f" begin="1000"/></routes>')
-    told = list(demand.warnings(demand.check([path])[0]))
+    told = list(demand.warnings(read([path])))
     assert len(told) == (late is not None)
     assert all(f"is not in order of departure: {late} may enter late" in one for one in told)
 
 
 def test_a_flow_departs_when_it_begins(tmp_path):
     path = written(tmp_path, '<routes><flow id="f" begin="1000"/><vehicle id="v" depart="90"/></routes>')
-    (told,) = demand.warnings(demand.check([path])[0])
+    (told,) = demand.warnings(read([path]))
     assert "is not in order of departure: 'v' may enter late" in told

@@ -12,6 +12,7 @@ from rail_sumo import config
 from rail_sumo.errors import InputError
 from rail_sumo.highway.adas import SUMO_DECIDES, Adas
 from rail_sumo.highway.network import road
+from rail_sumo.highway.network.demand import Demand
 from rail_sumo.highway.simulation import HOST, Simulation
 from rail_sumo.records import KMH, Command, MetaAction, Scene
 
@@ -219,7 +220,7 @@ def test_demand_that_sumo_cannot_load_is_a_users_error_and_leaves_the_process_fr
     broken = tmp_path / "broken.rou.xml"
     broken.write_text('<routes><vehicle id="a" depart="0"><route edges="nowhere"/></vehicle></routes>')
     with pytest.raises(InputError, match=r"^SUMO cannot load the network or its demand: "):
-        simulate(routes=[broken])
+        simulate(demand=Demand((broken,)))
     simulate().close()
     capfd.readouterr()
 
@@ -244,7 +245,7 @@ def test_into_a_slow_queue_the_host_enters_slower_once_it_has_waited_for_a_gap(t
         for lane in range(3)
     )
     (tmp_path / "queue.rou.xml").write_text(f'<routes><vType id="tractor" maxSpeed="5"/>{flows}</routes>')
-    with simulate("highway3", routes=[tmp_path / "queue.rou.xml"]) as simulation:
+    with simulate("highway3", demand=Demand((tmp_path / "queue.rou.xml",))) as simulation:
         simulation.run_without_host(60.0)
         simulation.add_host(["highway"], lane=1, front_m=10.0, speed_mps=20.0)
         simulation.wait_for_host()

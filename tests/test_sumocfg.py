@@ -1,80 +1,134 @@
-"""What is read of a .sumocfg."""
+"""What SUMO's configurations say, as SUMO reads them."""
 
 import pytest
 
 from rail_sumo import config
 from rail_sumo.errors import InputError
 from rail_sumo.highway.network import sumocfg
-from rail_sumo.highway.network.sumo_xml import seconds
+from rail_sumo.highway.network.sumo_xml import is_configuration, seconds
 
-FULL = """<sumoConfiguration>
+FULL = """<configuration>
     <input>
-        <net-file value=" in/my.net.xml"/>
+        <net-file value="in/my.net.xml"/>
         <route-files value="cars.rou.xml, in/lorries.rou.xml.gz,"/>
         <additional-files value="stops.add.xml"/>
+        <weight-files value="in/weights.xml"/>
     </input>
-    <time><begin value="7:00:00"/><end value=""/></time>
-    <processing><lateral-resolution value="0.8"/></processing>
-    <output><fcd-output v="fcd.xml"/></output>
-</sumoConfiguration>"""
+    <time><begin value="7:00:00"/><end value="9:00:00"/></time>
+    <processing><lateral-resolution value="0.8"/><scale value="1.5"/><time-to-teleport value="120"/></processing>
+    <output><fcd-output value="fcd.xml"/></output>
+    <report><verbose value="true"/><log value="all.log"/></report>
+    <gui_only><start value="true"/></gui_only>
+</configuration>"""
 KEYS = {
     "network.file": "{}/in/my.net.xml",
     "traffic.routes": ["{}/cars.rou.xml", "{}/in/lorries.rou.xml.gz"],
     "traffic.additional": ["{}/stops.add.xml"],
     "traffic.begin_s": 25200.0,
+    "traffic.options": ["weight-files={}/in/weights.xml", "scale=1.5", "time-to-teleport=120"],
 }
 
 
-def written(tmp_path, text):
-    path = tmp_path / "my.sumocfg"
+def written(tmp_path, text, name="my.sumocfg"):
+    path = tmp_path / name
     path.write_text(text)
     return path
 
 
 def below(folder, value):
+    if isinstance(value, float):
+        return value
     return [name.format(folder) for name in value] if isinstance(value, list) else value.format(folder)
 
 
-def test_network_demand_and_time_are_read_and_the_rest_is_told(tmp_path):
-    keys, unread = sumocfg.read(written(tmp_path, FULL))
-    assert keys == {key: value if key == "traffic.begin_s" else below(tmp_path, value) for key, value in KEYS.items()}
-    assert unread == ["lateral-resolution", "fcd-output"]
+def test_all_holds_but_what_must_be_ours_which_is_told_where_it_matters(tmp_path, capfd):
+    keys, told = sumocfg.read(written(tmp_path, FULL))
+    assert keys == {key: below(tmp_path, value) for key, value in KEYS.items()}
+    assert told == ["fcd-output", "end", "lateral-resolution"]
     assert keys.keys() <= config.Config().flat().keys()
+    assert sorted(path.name for path in tmp_path.iterdir()) == ["my.sumocfg"]  # no log, no output
+    assert capfd.readouterr() == ("", "")
 
 
-def test_sumos_other_names_for_its_options_are_read_too(tmp_path):
-    other = FULL.replace("net-file", "n").replace("route-files", "routes").replace("additional-files", "additional")
-    assert sumocfg.read(written(tmp_path, other.replace("begin", "b"))) == sumocfg.read(written(tmp_path, FULL))
+def test_sumos_short_and_old_names_and_any_section_will_do(tmp_path):
+    other = FULL.replace("net-file", "n").replace("route-files", "routes").replace("additional-files", "a")
+    other = (
+        other.replace("<processing>", "").replace("</processing>", "").replace('begin value="7:00:00"', 'b v="25200"')
+    )
+    assert sumocfg.read(written(tmp_path, other)) == sumocfg.read(written(tmp_path, FULL))
 
 
-def test_an_option_may_be_written_as_text(tmp_path):
-    keys, _ = sumocfg.read(written(tmp_path, "<configuration><net-file> my.net.xml </net-file></configuration>"))
-    assert keys == {"network.file": str(tmp_path / "my.net.xml")}
+def test_paths_are_read_as_sumo_reads_them(tmp_path, monkeypatch):
+    (tmp_path / "in").mkdir()
+    for name in ("a.rou.xml", "b.rou.xml", "ring road.rou.xml"):
+        (tmp_path / "in" / name).touch()
+    monkeypatch.setenv("DEMAND", "in")
+    monkeypatch.setenv("NETWORKS", "/somewhere")
+    keys, _ = sumocfg.read(
+        written(
+            tmp_path,
+            '<configuration><net-file value="${NETWORKS}/m.net.xml"/><route-files value="in\\..\\in/ring%20road.rou.xml'
+            ',${DEMAND}/a.rou.xml,in/a.rou.xml in/b.rou.xml"/></configuration>',
+        )
+    )
+    assert keys["network.file"] == "/somewhere/m.net.xml"
+    folder = tmp_path / "in"
+    assert keys["traffic.routes"] == [
+        *(f"{folder}/ring road.rou.xml", f"{folder}/a.rou.xml", f"{folder}/a.rou.xml", f"{folder}/b.rou.xml")
+    ]
+
+
+def test_names_may_lead_out_of_the_configurations_folder(tmp_path, monkeypatch):
+    (tmp_path / "here").mkdir()
+    monkeypatch.chdir(tmp_path / "here")
+    text = '<configuration><n v="../there/m.net.xml"/><r v="./d.rou.xml"/></configuration>'
+    keys, _ = sumocfg.read(written(tmp_path / "here", text).relative_to(tmp_path / "here"))
+    assert (keys["network.file"], keys["traffic.routes"]) == ("../there/m.net.xml", ["d.rou.xml"])
 
 
 def test_a_network_alone_leaves_the_rest_as_it_is(tmp_path):
-    keys, unread = sumocfg.read(written(tmp_path, '<configuration><net-file v="my.net.xml"/></configuration>'))
+    keys, told = sumocfg.read(written(tmp_path, '<configuration><net-file v="my.net.xml"/></configuration>'))
     assert keys == {"network.file": str(tmp_path / "my.net.xml")}
-    assert unread == []
+    assert told == []
+
+
+def test_with_a_demand_vehicles_teleport_as_sumo_has_it_by_default(tmp_path):
+    keys, _ = sumocfg.read(written(tmp_path, '<configuration><n v="m.net.xml"/><r v="d.rou.xml"/></configuration>'))
+    assert keys["traffic.options"] == ["time-to-teleport=300"]
 
 
 @pytest.mark.parametrize(
     ("text", "said"),
     [
-        ("<configuration>", r"^cannot read '.*my\.sumocfg': no element found"),
-        (
-            '<?xml version="1.0" encoding="Shift-JIS"?><c/>',
-            r"^cannot read '.*my\.sumocfg': multi-byte encodings are not",
-        ),
-        ('<?xml version="1.0" encoding="latin-99"?><c/>', r"^cannot read '.*my\.sumocfg': unknown encoding"),
+        ("<configuration>", r"^cannot read '.*my\.sumocfg': "),
         ("<configuration/>", r"my\.sumocfg' names no net-file; rail-sumo needs a network to drive on$"),
         ('<c><net-file value=""/></c>', r"names no net-file"),
-        (FULL.replace("7:00:00", "dawn"), r"my\.sumocfg' begins at 'dawn', which is no time$"),
+        (
+            '<c><n v="m.net.xml"/><no-such value="1"/></c>',
+            r"^cannot read '.*': No option with the name 'no-such' exists",
+        ),
+        (FULL.replace("7:00:00", "dawn"), r"dawn"),
     ],
 )
-def test_what_cannot_be_read_is_refused(tmp_path, text, said):
+def test_what_sumo_cannot_read_is_refused_in_its_words(tmp_path, text, said):
     with pytest.raises(InputError, match=said):
         sumocfg.read(written(tmp_path, text))
+
+
+@pytest.mark.parametrize(
+    ("text", "is_one"),
+    [
+        (FULL, True),
+        ('<sumoConfiguration xmlns:x="y"><n v="m"/></sumoConfiguration>', True),
+        ("<net/>", False),
+        ("<routes/>", False),
+        ("<configuration", False),
+        ("", False),
+    ],
+)
+@pytest.mark.parametrize("name", ["my.sumocfg", "x.sumo.cfg", "x.net.xml"])
+def test_a_configuration_is_told_by_its_content(tmp_path, text, is_one, name):
+    assert is_configuration(written(tmp_path, text, name)) == is_one
 
 
 @pytest.mark.parametrize(

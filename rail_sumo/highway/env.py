@@ -4,7 +4,6 @@ import math
 import sys
 from collections.abc import Sequence
 from functools import lru_cache
-from pathlib import Path
 from typing import Any
 
 import gymnasium
@@ -15,7 +14,7 @@ from rail_sumo.config import Adas as AdasConfig
 from rail_sumo.config import Config
 from rail_sumo.config import Lidar as LidarConfig
 from rail_sumo.errors import InputError
-from rail_sumo.highway import sumo_errors
+from rail_sumo.highway import sumo_process
 from rail_sumo.highway.adas import Adas, HandsOff, lanes_leading_on
 from rail_sumo.highway.lidar import Lidar
 from rail_sumo.highway.network import demand, road
@@ -65,7 +64,8 @@ class HighwayEnv(gymnasium.Env[Floats, np.int64]):
         self._outputs = outputs
         self._road = road.load(self.config.network.file, self.config.network.course)
         traffic = self.config.traffic
-        self._demand, self._additional = demand.check(traffic.routes, traffic.additional)
+        self.demand = demand.read(traffic)
+        """The user's own; see `Demand.has_traffic`."""
         lidar = self.config.lidar
         self._lidar = _lidar(lidar, self._road)
         self._layout = Layout(lidar, self.config.observation)
@@ -75,7 +75,7 @@ class HighwayEnv(gymnasium.Env[Floats, np.int64]):
         self.fastest_mps = _fastest_mps(self._road, self.config.adas)
         closes_m = self.config.episode.decision_period_s * self.fastest_mps
         self._near_m = max(NEAR_M, closes_m + VEHICLE_M)
-        self._start_m = DEMAND_START_M if self._demand else self.config.traffic.behind_m + MARGIN_M
+        self._start_m = DEMAND_START_M if self.demand.has_traffic else self.config.traffic.behind_m + MARGIN_M
         self._overrun_m = MARGIN_M + closes_m
         end_m = math.inf if self._road.is_loop else self._road.length_m
         self.drivable_m = end_m - self._start_m - self._overrun_m
@@ -92,7 +92,7 @@ class HighwayEnv(gymnasium.Env[Floats, np.int64]):
         self._told: list[bool] | None = None
         self._end: EndReason | None = None
 
-    @sumo_errors.as_input_errors
+    @sumo_process.as_input_errors
     def reset(self, *, seed: int | None = None, options: dict[str, Any] | None = None) -> tuple[Floats, dict[str, Any]]:
         """Begin an episode; the same seed gives the same traffic."""
         super().reset(seed=seed)
@@ -123,8 +123,7 @@ class HighwayEnv(gymnasium.Env[Floats, np.int64]):
         assert place is not None  # or nothing were drivable
         simulation = self._simulation = Simulation(
             self._road,
-            routes=self._demand,
-            additional=self._additional,
+            demand=self.demand,
             begin_s=traffic.begin_s,
             adas=adas,
             seed=self._seed,
@@ -138,17 +137,18 @@ class HighwayEnv(gymnasium.Env[Floats, np.int64]):
         episode = self.config.episode
         farthest_m = min(episode.course_m, episode.duration_s * self.fastest_mps) + self._overrun_m
         edges = self._road.laps(place[0], place[1] + farthest_m)
-        if self._demand:
+        has_traffic = self.demand.has_traffic
+        if has_traffic:
             simulation.run_without_host(traffic.warm_up_s)
             if not simulation.on_road():
                 raise InputError(
                     f"no vehicle of the demand is on the road at {traffic.begin_s + traffic.warm_up_s:.0f} s; set "
                     f"traffic.begin_s to a time with traffic, or lengthen traffic.warm_up_s"
                 )
-        as_traffic = bool(self._demand) and adas.starts_by_the_limit
+        as_traffic = has_traffic and adas.starts_by_the_limit
         simulation.add_host(edges, lane=lane, front_m=place[1], speed_mps=start_mps, as_traffic=as_traffic)
         self._window: MovingWindow | None = None
-        if not self._demand:
+        if not has_traffic:
             self._window = MovingWindow(
                 simulation, self._road, traffic, host_s_m=self._start_m, host_lane=lane, farthest_m=farthest_m, rng=rng
             )
@@ -183,7 +183,7 @@ class HighwayEnv(gymnasium.Env[Floats, np.int64]):
         info = {"end_reason": self._end, "trajectory": self.trajectory()} if self.is_over else {}
         return observation, earned, crashed, self.is_over and not crashed, info
 
-    @sumo_errors.as_input_errors
+    @sumo_process.as_input_errors
     def drive(self, action: int) -> tuple[Floats, int]:
         """Take one decision and drive until the next falls due; returns the next observation and the steps driven.
 
@@ -260,11 +260,6 @@ class HighwayEnv(gymnasium.Env[Floats, np.int64]):
     def is_over(self) -> bool:
         """Whether the episode has ended."""
         return self._end is not None
-
-    @property
-    def demand_files(self) -> tuple[Path, ...]:
-        """The files of the user's own demand; none for the moving window."""
-        return self._demand
 
     @property
     def is_alone(self) -> bool:

@@ -10,9 +10,10 @@ import numpy as np
 
 from rail_sumo import config
 from rail_sumo.errors import InputError
-from rail_sumo.highway import placing, sumo_errors
+from rail_sumo.highway import placing, sumo_process
 from rail_sumo.highway.host import HOST_TYPE, Host, way_of
-from rail_sumo.highway.network.demand import HOST, OURS, folders_written
+from rail_sumo.highway.names import HOST, OURS
+from rail_sumo.highway.network.demand import Demand
 from rail_sumo.highway.network.road import Road
 from rail_sumo.records import SECONDS_PER_STEP, Command, Scene
 
@@ -29,6 +30,18 @@ TRAFFIC_TYPES = Path(__file__).with_name("traffic.add.xml")
 """The types as SUMO has them by default, whatever a user's demand says of its default. The made traffic decides every
 0.5 s, which halves what it costs, and brakes by 3 m/s², which calms it. Its types are kept away from a user's demand:
 one type with an `actionStepLength` of its own, though nobody is of it, makes SUMO drive everybody differently."""
+
+OUR_OPTIONS = {
+    "step-length": SECONDS_PER_STEP,
+    "collision.action": "warn",
+    "collision.mingap-factor": 0,
+    "collision.check-junctions": "true",
+    "no-step-log": "true",
+    "no-warnings": "true",
+    "xml-validation": "never",
+}
+"""What SUMO is always told: contacts are counted and not removed, and nothing is said."""
+NOTHING = Demand()
 
 RESPECT_OTHERS_GAPS = 512
 """Lane-change mode: no change of its own accord; a commanded one waits for a gap that is safe to others."""
@@ -53,9 +66,8 @@ class Simulation:
 
     Args:
         road: the network and the host's course on it.
-        routes: the user's demand files.
-        additional: the user's additional files: stops, signal programs and the like. Reports of
-            detectors in them are deleted at the end.
+        demand: the user's own traffic, additional files and options of SUMO's. What these have SUMO write is deleted
+            at the end.
         begin_s: when to begin in the demand's time, in seconds.
         adas: limits of the host's own car-following (ACC and AEB).
         seed: SUMO's seed.
@@ -67,51 +79,45 @@ class Simulation:
         InputError: SUMO cannot load the network or the demand.
     """
 
-    _running = False
-
     def __init__(
         self,
         road: Road,
         *,
-        routes: Sequence[Path] = (),
-        additional: Sequence[Path] = (),
+        demand: Demand = NOTHING,
         begin_s: float = 0.0,
         adas: config.Adas,
         seed: int,
         context_m: float,
         outputs: Sequence[str] = (),
     ) -> None:
-        if Simulation._running:
-            raise RuntimeError(
-                "a simulation is already running in this process and libsumo holds only one; "
-                "close it, or drive episodes in worker processes"
-            )
         self._context_m = context_m
         self._sizes: dict[str, tuple[float, float]] = {}
         self._routes: dict[tuple[str, ...], str] = {}
         self._edges = road.edge_of
         self._held: dict[str, int] = {}  # vehicles kept from changing lanes, and their own lane-change modes
         self._prefix = f"{OURS}{os.getpid()}_"
-        self._written = folders_written(additional)
+        self._written = demand.folders_written
         self._outputs = outputs
-        types = (HOST_TYPES,) if routes else (HOST_TYPES, TRAFFIC_TYPES)
-        sumo_errors.start(
-            [
-                *("--net-file", str(road.net_file)),
-                *(("--route-files", ",".join(map(str, routes))) if routes else ()),
-                *("--additional-files", ",".join(map(str, (*types, *additional))), "--begin", str(begin_s)),
-                *("--step-length", str(SECONDS_PER_STEP), "--seed", str(seed % SEEDS)),
-                *("--collision.action", "warn", "--collision.mingap-factor", "0", "--time-to-teleport", "-1"),
-                *("--collision.check-junctions", "true"),
-                # A vehicle of the window enters at once or not at all.
-                *(() if routes else ("--max-depart-delay", "0")),
-                *("--no-step-log", "true", "--no-warnings", "true", "--xml-validation", "never"),
-                # Reports of the user's detectors are not kept, and must not overwrite earlier ones of the user's.
-                *(("--output-prefix", self._prefix) if additional else ()),
-                *outputs,
-            ]
-        )
-        Simulation._running = self._is_open = True
+        types = (HOST_TYPES,) if demand.has_traffic else (HOST_TYPES, TRAFFIC_TYPES)
+        options = {
+            "net-file": road.net_file,
+            "additional-files": ",".join(map(str, (*types, *demand.additional))),
+            "begin": begin_s,
+            "time-to-teleport": -1,
+            **({} if demand.has_traffic else {"max-depart-delay": 0}),  # the window's enter at once or not at all
+            **demand.options,
+            **OUR_OPTIONS,
+            "seed": seed % SEEDS,
+        }
+        if demand.routes:
+            options["route-files"] = ",".join(map(str, demand.routes))
+        if demand.files:  # whatever they write is not kept, and must not overwrite what the user has
+            options["output-prefix"] = self._prefix
+        try:
+            sumo_process.start(options, outputs)
+        except sumo_process.Refused as error:
+            raise InputError(f"SUMO cannot load the network or its demand: {error}") from None
+        self._is_open = True
         self.host = Host(road, adas)
 
     def __enter__(self) -> "Simulation":
@@ -123,8 +129,8 @@ class Simulation:
     def close(self) -> None:
         """End the simulation; harmless when it has ended."""
         if self._is_open:
-            libsumo.close()
-            Simulation._running = self._is_open = False
+            sumo_process.close()
+            self._is_open = False
             for asked in map(Path, filter(None, self._outputs)):
                 written = asked.with_name(f"{self._prefix}{asked.name}")
                 if written.exists():

@@ -21,7 +21,7 @@ def check(world: Config) -> tuple[Road, list[str]]:
         return course, [
             *_shortness(world, env),
             *road.warnings(course),
-            *demand.warnings(env.demand_files),
+            *demand.warnings(env.demand),
             *_solitude(env),
         ]
     finally:
@@ -38,7 +38,7 @@ def _shortness(world: Config, env: HighwayEnv) -> Iterator[str]:
 
 
 def _solitude(env: HighwayEnv) -> Iterator[str]:
-    if env.demand_files and env.is_alone:
+    if env.demand.has_traffic and env.is_alone:
         yield (
             "when the host enters, no vehicle of the demand is on its course or on the way to it; lead network.course "
             "where they drive, or change traffic.begin_s"

@@ -1,13 +1,16 @@
 """What a user's demand says, read before anybody drives in it."""
 
+import math
 import xml.etree.ElementTree as ElementTree
-from collections.abc import Iterable, Iterator
-from dataclasses import dataclass
+from collections.abc import Iterable, Iterator, Mapping
+from dataclasses import dataclass, field
 from functools import cache
 from pathlib import Path
 
-from rail_sumo import assets
+from rail_sumo import assets, config
 from rail_sumo.errors import InputError
+from rail_sumo.highway.names import OURS
+from rail_sumo.highway.network import sumocfg
 from rail_sumo.highway.network.sumo_xml import UNKNOWN_ENCODING, UNREADABLE, opened, seconds, state_of
 
 TRAFFIC_ELEMENTS = ("vehicle", "flow", "trip")
@@ -23,17 +26,52 @@ ADDITIONAL = frozenset({
 
 OUTPUTS = ("file", "output", "dest")
 """Attributes that name a file to be written."""
+OUTPUT_PARAMETER = ".file"
+"""What the keys of parameters end with that do, as `device.ssm.file`."""
 
-OURS = "rail_sumo_"
-"""What the ids of our own vehicles, types and routes begin with."""
-HOST = f"{OURS}host"
+
+@dataclass(frozen=True)
+class Demand:
+    """The files of a user's demand, checked, and SUMO's options for it."""
+
+    routes: tuple[Path, ...] = ()
+    additional: tuple[Path, ...] = ()
+    """SUMO's additional files beside them, in their order; they may put vehicles on the road too."""
+    options: Mapping[str, str] = field(default_factory=dict)
+    """Further options of SUMO's, by name."""
+
+    @property
+    def files(self) -> tuple[Path, ...]:
+        """All that SUMO reads for it, included files too."""
+        return tuple(path for given in (*self.routes, *self.additional) for path in _with_included(given))
+
+    @property
+    def has_traffic(self) -> bool:
+        """Whether it puts anybody on the road; else traffic is made for the host."""
+        return any(_content(path, state_of(path)).departures_s for path in self.files)
+
+    @property
+    def departs_s(self) -> tuple[float, float]:
+        """When the first vehicle is to depart, and the last; inf of a flow without an end."""
+        spans = [_content(path, state_of(path)).departures_s for path in self.files]
+        return min(first for first, _ in filter(None, spans)), max(last for _, last in filter(None, spans))
+
+    @property
+    def folders_written(self) -> set[Path]:
+        """The folders into which it may have SUMO write: beside what names a file there, and the current one."""
+        named = ((path, name) for path in self.files for name in _content(path, state_of(path)).outputs)
+        written = {(folder / name).parent for path, name in named for folder in (path.parent, Path.cwd())}
+        return written | {path.parent for path in self.files} | ({Path.cwd()} if self.files else set())
 
 
 @dataclass(frozen=True, slots=True)
 class _Content:
-    elements: frozenset[str]
-    taken: tuple[str, ...]
-    """Ids that are ours."""
+    misplaced: str
+    """An element that SUMO reads from additional files only, if there is one."""
+    reserved: str
+    """An id that is ours, if there is one."""
+    departures_s: tuple[float, float] | None
+    """The first and the last; None if it puts nobody on the road."""
     out_of_order: tuple[str, ...]
     """Ids of those that depart before one that stands before them."""
     includes: tuple[str, ...]
@@ -42,56 +80,38 @@ class _Content:
     """Names of files that it has SUMO write, and of some that it has SUMO read."""
 
 
-def check(routes: Iterable[str], additional: Iterable[str] = ()) -> tuple[tuple[Path, ...], tuple[Path, ...]]:
-    """Return the files of a demand, and SUMO's additional files beside it, after reading them.
-
-    Args:
-        routes: a shipped example's name or a path each; none for the moving window of traffic.
-        additional: paths.
+def read(traffic: config.Traffic) -> Demand:
+    """Return the demand that the configuration names, after reading its files.
 
     Raises:
-        InputError: no such file, not XML, one that has our ids or includes another, routes with elements that SUMO
-            reads from additional files only, no vehicle, flow or trip in any of the routes, or some beside no routes.
+        InputError: no such file, not XML, one that has our ids or includes itself, route files that put nobody on the
+            road, or an option that is ours to set.
     """
-    demand, beside = tuple(map(assets.routes, routes)), tuple(map(assets.additional, additional))
-    contents = {path: _content(path, state_of(path)) for path in (*demand, *beside)}
-    for path, content in contents.items():
-        if content.taken:
+    routes, additional = tuple(map(assets.routes, traffic.routes)), tuple(map(assets.additional, traffic.additional))
+    demand = Demand(routes, additional, dict(_options(traffic.options)))
+    for path in demand.files:
+        reserved = _content(path, state_of(path)).reserved
+        if reserved:
             raise InputError(
-                f"'{path}' has the id '{content.taken[0]}'; ids that begin with {OURS} are rail-sumo's own: rename it"
+                f"'{path}' has the id '{reserved}'; ids that begin with {OURS} are rail-sumo's own: rename it"
             )
-        if content.includes:
-            raise InputError(
-                f"'{path}' includes '{content.includes[0]}', which rail-sumo does not follow; name that file itself"
-            )
-    for path in demand:
-        misplaced = sorted(contents[path].elements & ADDITIONAL)
-        if misplaced:
-            raise InputError(
-                f"demand '{path}' has <{misplaced[0]}>, which SUMO reads from additional files only; move it to a file "
-                f"of its own, and name that in traffic.additional"
-            )
-    for path in () if demand else beside:
-        if contents[path].elements.intersection(TRAFFIC_ELEMENTS):
-            raise InputError(
-                f"'{path}' puts vehicles on the road, beside traffic that is made for the host; name it in "
-                f"traffic.routes (--routes), not in traffic.additional"
-            )
-    if demand and not any(contents[path].elements.intersection(TRAFFIC_ELEMENTS) for path in demand):
-        names = "', '".join(map(str, demand))
+    if routes and not demand.has_traffic:
+        names = "', '".join(map(str, routes))
         raise InputError(f"demand '{names}' has no <vehicle>, <flow> or <trip>; rail-sumo needs traffic to drive in")
-    return demand, beside
+    return demand
 
 
-def folders_written(additional: Iterable[Path]) -> set[Path]:
-    """Return the folders into which additional files have SUMO write."""
-    written = ((path, name) for path in additional for name in _content(path, state_of(path)).outputs)
-    return {(path.parent / name).parent for path, name in written}
-
-
-def warnings(demand: Iterable[Path]) -> Iterator[str]:
+def warnings(demand: Demand) -> Iterator[str]:
     """Tell what SUMO would not do as it is written, and says nothing about."""
-    for path in demand:
+    for given in demand.routes:
+        for path in _with_included(given):
+            misplaced = _content(path, state_of(path)).misplaced
+            if misplaced:
+                yield (
+                    f"demand '{path}' has <{misplaced}>, which SUMO reads from additional files only; move it to a "
+                    f"file of its own, and name that in traffic.additional"
+                )
+    for path in demand.files:
         late = _content(path, state_of(path)).out_of_order
         if late:
             more = f" and {len(late) - 1} more" if len(late) > 1 else ""
@@ -101,37 +121,74 @@ def warnings(demand: Iterable[Path]) -> Iterator[str]:
             )
 
 
+def _options(given: Iterable[str]) -> Iterator[tuple[str, str]]:
+    for text in given:
+        option, equals, value = text.partition("=")
+        if not equals:
+            raise InputError(f"traffic.options takes SUMO's options as name=value, for example scale=2; got '{text}'")
+        if sumocfg.is_ours(option):
+            raise InputError(f"SUMO's option '{option}' is rail-sumo's to set; leave it out of traffic.options")
+        yield option, value
+
+
+def _with_included(path: Path, including: tuple[Path, ...] = ()) -> Iterator[Path]:
+    """Yield a file and those that it includes, in the order in which SUMO reads them.
+
+    Raises:
+        InputError: one is not there, or includes itself.
+    """
+    yield path
+    for name in _content(path, state_of(path)).includes:
+        included = path.parent / name
+        if included.resolve() in {one.resolve() for one in (*including, path)}:
+            raise InputError(f"'{path}' includes '{name}', which includes it in turn; take one of the two out")
+        if not included.is_file():
+            raise InputError(f"'{path}' includes '{name}', which does not exist; correct its <include>")
+        yield from _with_included(included, (*including, path))
+
+
 @cache  # every episode asks
 def _content(path: Path, state: tuple[int, int]) -> _Content:
-    elements: set[str] = set()
-    taken: list[str] = []
+    misplaced = reserved = ""
     out_of_order: list[str] = []
     includes: list[str] = []
     outputs: list[str] = []
-    latest_s = 0.0
+    first_s, latest_s, last_s = math.inf, 0.0, -math.inf
     try:
         with opened(path) as stream:
             for _, element in ElementTree.iterparse(stream):
-                elements.add(element.tag)
                 name = element.get("id", "")
                 if name.startswith(OURS):
-                    taken.append(name)
+                    reserved = reserved or name
+                if element.tag in ADDITIONAL:
+                    misplaced = misplaced or element.tag
                 if element.tag == "include":
                     includes.append(element.get("href", ""))
                 outputs += filter(None, map(element.get, OUTPUTS))
+                if element.tag == "param" and element.get("key", "").endswith(OUTPUT_PARAMETER):
+                    outputs.append(element.get("value", ""))
                 if element.tag in TRAFFIC_ELEMENTS:
-                    departs_s = _departure_s(element, otherwise=latest_s)
+                    departs_s, ends_s = _departures_s(element, otherwise=latest_s)
                     if departs_s < latest_s:
                         out_of_order.append(name)
                     latest_s = max(latest_s, departs_s)
+                    first_s, last_s = min(first_s, departs_s), max(last_s, ends_s)
                 element.clear()
     except (*UNREADABLE, *UNKNOWN_ENCODING) as error:
         raise InputError(f"'{path}' is not a complete XML file: {error}") from None
-    return _Content(frozenset(elements), tuple(taken), tuple(out_of_order), tuple(includes), tuple(outputs))
+    span_s = (first_s, last_s) if first_s <= last_s else None
+    return _Content(misplaced, reserved, span_s, tuple(out_of_order), tuple(includes), tuple(outputs))
 
 
-def _departure_s(element: ElementTree.Element, *, otherwise: float) -> float:
+def _departures_s(element: ElementTree.Element, *, otherwise: float) -> tuple[float, float]:
+    """Return when a vehicle departs, twice, or when a flow's first and last do."""
     try:
-        return seconds(element.get("depart") or element.get("begin") or "")
+        first_s = seconds(element.get("depart") or element.get("begin") or ("0" if element.tag == "flow" else ""))
     except ValueError:  # as "triggered"
-        return otherwise
+        first_s = otherwise
+    if element.tag != "flow":
+        return first_s, first_s
+    try:
+        return first_s, max(first_s, seconds(element.get("end", "")))
+    except ValueError:  # it has no end, or none that is a time
+        return first_s, math.inf

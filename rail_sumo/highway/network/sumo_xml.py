@@ -15,9 +15,30 @@ UNKNOWN_ENCODING = (LookupError, ValueError)
 _SIZES_S = (1.0, 60.0, 3600.0, 86400.0)
 
 
+GZIP = b"\x1f\x8b"
+"""What a compressed file begins with, whatever it is called."""
+
+
 def opened(path: Path) -> BufferedIOBase:
-    """Open a file, compressed if it is called so."""
-    return gzip.open(path) if path.suffix == ".gz" else path.open("rb")
+    """Open a file, compressed or not."""
+    with path.open("rb") as stream:
+        is_compressed = stream.read(len(GZIP)) == GZIP
+    return gzip.open(path) if is_compressed else path.open("rb")
+
+
+def root_of(path: Path) -> ElementTree.Element:
+    """Return a file's outermost element, with its attributes and nothing in it."""
+    with opened(path) as stream:
+        _, root = next(ElementTree.iterparse(stream, events=("start",)))
+    return root
+
+
+def is_configuration(path: Path) -> bool:
+    """Return whether a file is a configuration of SUMO's, by what its root element is called."""
+    try:
+        return "config" in root_of(path).tag.lower()
+    except (*UNREADABLE, *UNKNOWN_ENCODING):
+        return False
 
 
 def state_of(path: Path) -> tuple[int, int]:

@@ -1,57 +1,113 @@
-"""A .sumocfg: what it says of network, demand and time, in the configuration's own keys."""
+"""A configuration of SUMO's, read by SUMO itself: what it says, in our configuration's own keys.
 
+Everything in it holds but what must be ours: how time goes on, what counts as a contact, what is written and shown.
+"""
+
+import os
+import re
+import tempfile
 import xml.etree.ElementTree as ElementTree
-from collections.abc import Iterator
-from pathlib import Path
+from pathlib import Path, PureWindowsPath
 from typing import Any
+from urllib.parse import unquote
 
 from rail_sumo.errors import InputError
-from rail_sumo.highway.network.sumo_xml import UNKNOWN_ENCODING, UNREADABLE, opened, seconds
+from rail_sumo.highway import sumo_process
+from rail_sumo.highway.network.sumo_xml import UNREADABLE, seconds
 
-SUFFIX = ".sumocfg"
+INPUT_FILES = (
+    *("net-file", "route-files", "additional-files", "weight-files", "load-state", "phemlight-path"),
+    *("astar.all-distances", "astar.landmark-distances", "device.fcd-replay.files"),
+)
+"""Options that name files to be read."""
 
-READ = {
-    "net-file": ("n", "net"),
-    "route-files": ("r", "routes"),
-    "additional-files": ("a", "additional"),
-    "begin": ("b",),
-}
-"""The options that are read, each with SUMO's other names for it."""
-_NAMES = {name: option for option, others in READ.items() for name in (option, *others)}
+UNTOLD_TOPICS = frozenset({"report", "gui_only", "traci_server"})
+"""Topics of SUMO's options that are about what is shown, and matter to no result."""
+OUR_TOPICS = UNTOLD_TOPICS | {
+    "output", "mesoscopic", "random_number", "ssm_device", "fcd_device", "tripinfo_device", "vehroutes_device",
+}  # fmt: skip
+"""These, and those about what is written and which random numbers are drawn."""
+
+OUR_OPTIONS = re.compile(
+    r"net-file|route-files|additional-files|configuration-file|begin|end|seed|random|step-length|step-method\.ballistic"
+    r"|threads|lateral-resolution|lanechange\.duration|ignore-accidents|collision\..+|mesosim|remote-port|num-clients"
+    r"|(.+[.-])?output(\..+)?|output-prefix|save-.+|netstate-dump.*|device\.(ssm|fcd|tripinfo|vehroutes)\..+"
+    r"|device\.toc\.file"
+)
+"""Options of whatever topic that are ours, or that a configuration has keys of its own for."""
 
 
 def read(path: Path) -> tuple[dict[str, Any], list[str]]:
-    """Return the keys of a configuration that a file sets, with their values, and the options it has beside them.
+    """Return the keys of our configuration that a file of SUMO's sets, with their values, and the options left out.
 
-    File names in it are relative to its own folder, as they are to SUMO.
+    Of these only such as could matter to a result are told.
+
+    File names in it are relative to its own folder, with `%20` for a space and `${NAME}` for an environment variable,
+    as they are to SUMO.
 
     Raises:
-        InputError: it cannot be read, names no network, or begins at what is no time.
+        InputError: it cannot be read, has an option that SUMO does not know, names no network, or begins at no time.
     """
-    try:
-        with opened(path) as stream:
-            given = dict(_options(ElementTree.parse(stream).getroot()))
-    except (*UNREADABLE, *UNKNOWN_ENCODING) as error:
-        raise InputError(f"cannot read '{path}': {getattr(error, 'strerror', None) or error}") from None
-    options = {_NAMES[name]: value for name, value in given.items() if name in _NAMES}
+    topic_of, options = _resolved(path)
     if "net-file" not in options:
         raise InputError(f"'{path}' names no net-file; rail-sumo needs a network to drive on")
-    keys: dict[str, Any] = {"network.file": str(path.parent / options["net-file"])}
+    keys: dict[str, Any] = {"network.file": options.pop("net-file")}
     for option, key in (("route-files", "traffic.routes"), ("additional-files", "traffic.additional")):
         if option in options:
-            names = filter(None, map(str.strip, options[option].split(",")))
-            keys[key] = [str(path.parent / name) for name in names]
-    if "begin" in options:
+            keys[key] = options.pop(option).split(",")
+    begin = options.pop("begin", None)
+    if begin is not None:
         try:
-            keys["traffic.begin_s"] = seconds(options["begin"])
+            keys["traffic.begin_s"] = seconds(begin)
         except ValueError:
-            raise InputError(f"'{path}' begins at '{options['begin']}', which is no time") from None
-    return keys, [name for name in given if name not in _NAMES]
+            raise InputError(f"'{path}' begins at '{begin}', which is no time") from None
+    left_out = [option for option in options if is_ours(option, topic_of[option])]
+    passed_on = {option: value for option, value in options.items() if option not in left_out}
+    if keys.keys() & {"traffic.routes", "traffic.additional"}:
+        passed_on.setdefault("time-to-teleport", "300")  # SUMO's own default
+    if passed_on:
+        keys["traffic.options"] = [f"{option}={value}" for option, value in passed_on.items()]
+    return keys, [option for option in left_out if topic_of[option] not in UNTOLD_TOPICS]
 
 
-def _options(root: ElementTree.Element) -> Iterator[tuple[str, str]]:
-    """Yield the options that are set, by name."""
-    for element in root.iter():
-        value = (element.get("value") or element.get("v") or element.text or "").strip()
-        if value:
-            yield element.tag, value
+def is_ours(option: str, topic: str = "") -> bool:
+    """Return whether an option of SUMO's, by its present name, is not the user's to set."""
+    return topic in OUR_TOPICS or OUR_OPTIONS.fullmatch(option) is not None
+
+
+def _resolved(path: Path) -> tuple[dict[str, str], dict[str, str]]:
+    """Return the topics and the values of the options that are set, by their present names, as SUMO reads them."""
+    with tempfile.TemporaryDirectory() as folder:
+        written = Path(folder) / "resolved.sumocfg"
+        try:
+            sumo_process.start({"configuration-file": path, "save-configuration": written})
+            sumo_process.close()
+            root = ElementTree.parse(written).getroot()
+        except (sumo_process.Refused, *UNREADABLE) as error:
+            raise InputError(f"cannot read '{path}': {getattr(error, 'strerror', None) or error}") from None
+    topics = {option.tag: topic.tag for topic in root for option in topic}
+    values = {option.tag: option.get("value", "") for topic in root for option in topic}
+    values |= {
+        name: _paths(values[name], path.parent, Path(folder).resolve()) for name in INPUT_FILES if name in values
+    }
+    return topics, {name: value for name, value in values.items() if value}
+
+
+def _paths(value: str, folder: Path, seen_from: Path) -> str:
+    """Return the paths of a list of files, with commas between them.
+
+    Args:
+        value: their names, as SUMO writes them.
+        folder: the configuration's, which they are relative to.
+        seen_from: the folder that SUMO writes them relative to.
+    """
+    paths: list[Path] = []
+    for encoded in filter(None, value.split(",")):
+        name = unquote(unquote(encoded)).replace("\\", "/")  # SUMO encodes once more what it writes from elsewhere
+        if not name.startswith("$") and not PureWindowsPath(name).drive:
+            name = os.path.relpath(seen_from / name, folder.resolve())
+        name = os.path.expandvars(name).strip()
+        parts = [folder / part for part in name.split()]
+        are_several = not (folder / name).exists() and all(part.exists() for part in parts)
+        paths += parts if are_several else [folder / name]
+    return ",".join(str(path) for path in paths if path != folder)
