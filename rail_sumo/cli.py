@@ -346,7 +346,8 @@ def _overrides(network: str | None, routes: list[str] | None, overrides: list[st
 def _describe(road: "Road") -> str:
     lanes = [edge.n_lanes for edge in road.edges]
     count = f"{min(lanes)} to {max(lanes)}" if min(lanes) < max(lanes) else f"{max(lanes)}"
-    return f"{road.name}: {'loop' if road.is_loop else 'road'} of {road.length_m:,.0f} m with {count} lanes"
+    lanes_word = "lane" if count == "1" else "lanes"
+    return f"{road.name}: {'loop' if road.is_loop else 'road'} of {road.length_m:,.0f} m with {count} {lanes_word}"
 
 
 def _shortened(edges: list[str]) -> str:

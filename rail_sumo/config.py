@@ -61,6 +61,10 @@ class Episode(_Section):
         return self
 
 
+FASTEST_CAR_MPS = 200.0 / KMH
+"""What a car can do, as SUMO has it; networks write a higher limit where a road has none."""
+
+
 class Traffic(_Section):
     """The surrounding vehicles: a window that moves with the host, or the user's own demand."""
 
@@ -124,7 +128,8 @@ class Adas(_Section):
     """The layer that carries the decisions out."""
 
     max_speed_kmh: Positive | Literal["limit"] = "limit"
-    """The highest set speed: the speed limit where the host is, or a number. Beyond the limit it does not drive."""
+    """The highest set speed: the speed limit where the host is, 200 km/h where there is none, or a number. Beyond the
+    limit it does not drive."""
     min_speed_kmh: Positive | Literal["limit/2"] = "limit/2"
     """The lowest set speed: half the limit, or a number. Traffic, limits and right of way may make the host slower."""
     start_speed_kmh: Positive | Literal["limit*3/4"] = "limit*3/4"
@@ -147,15 +152,17 @@ class Adas(_Section):
 
     def highest_mps(self, limit_mps: float) -> float:
         """Return the highest set speed where this is the limit."""
-        return limit_mps if self.max_speed_kmh == "limit" else self.max_speed_kmh / KMH
+        return min(limit_mps, FASTEST_CAR_MPS) if self.max_speed_kmh == "limit" else self.max_speed_kmh / KMH
 
     def lowest_mps(self, limit_mps: float) -> float:
         """Return the lowest set speed where this is the limit; on a slow road it may lie above the highest."""
-        return limit_mps / 2 if self.min_speed_kmh == "limit/2" else self.min_speed_kmh / KMH
+        return min(limit_mps, FASTEST_CAR_MPS) / 2 if self.min_speed_kmh == "limit/2" else self.min_speed_kmh / KMH
 
     def start_mps(self, limit_mps: float) -> float:
         """Return the first set speed where this is the limit."""
-        return limit_mps * 3 / 4 if self.start_speed_kmh == "limit*3/4" else self.start_speed_kmh / KMH
+        if self.start_speed_kmh == "limit*3/4":
+            return min(limit_mps, FASTEST_CAR_MPS) * 3 / 4
+        return self.start_speed_kmh / KMH
 
     @property
     def starts_by_the_limit(self) -> bool:

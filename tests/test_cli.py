@@ -29,9 +29,9 @@ def rail_sumo(monkeypatch, capsys, tmp_path):
 
 SHORT = ("--set", "episode.duration_s=5.0", "--workers", "1")
 
-ONE_LANE = """<net version="1.20">
+CLOSED = """<net version="1.20">
 <location netOffset="0,0" convBoundary="0,0,9,0" origBoundary="0,0,9,0" projParameter="!"/>
-<edge id="e" from="a" to="b"><lane id="e_0" index="0" speed="13.9" length="9.0" shape="0,0 9,0"/></edge>
+<edge id="e" from="a" to="b"><lane id="e_0" index="0" disallow="passenger" speed="13.9" length="9.0" shape="0,0 9,0"/></edge>
 <junction id="a" type="dead_end" x="0" y="0" incLanes="" intLanes="" shape="0,0"/>
 <junction id="b" type="dead_end" x="9" y="0" incLanes="e_0" intLanes="" shape="9,0"/>
 </net>"""
@@ -43,7 +43,7 @@ def lay_out(folder):
     (folder / "file").touch()
     (folder / "cut.net.xml").write_text('<net version="1.20"><edge ')
     (folder / "cut.sumocfg").write_text("<configuration>")
-    (folder / "narrow.net.xml").write_text(ONE_LANE)
+    (folder / "closed.net.xml").write_text(CLOSED)
     (folder / "no.toml").write_text("[traffic\n")
     decision = {"action": [0], "episode": [0]}
     features = feature_names(config.Lidar(), config.Observation())
@@ -99,9 +99,9 @@ BAD = {
     "eval keep --network cut.sumocfg": "cannot read 'cut.sumocfg': ",
     "eval keep --set network.file=cut.sumocfg": "network 'cut.sumocfg' is not a complete XML file: ",
     "eval keep --network cut.net.xml": "network 'cut.net.xml' is not a complete XML file: ",
-    "eval keep --network narrow.net.xml": "network 'narrow.net.xml' has no drivable edge with two or more lanes; ",
+    "eval keep --network closed.net.xml": "network 'closed.net.xml' has no edge that is open to cars; rail",
     "eval keep --routes none.rou.xml": "routes file 'none.rou.xml' does not exist (current folder: ",
-    "network check narrow.net.xml": "network 'narrow.net.xml' has no drivable edge with two or more lanes; ",
+    "network check closed.net.xml": "network 'closed.net.xml' has no edge that is open to cars; rail",
     "expert record --out file": "output file 'file' exists; choose another, or replace it with --overwrite",
     "expert record --driver rul --out new": "policy 'rul' is neither a run directory nor a driver; did you mean",
     "expert record --episodes 0 --driver keep --out new": "episodes must be at least 1; got 0",

@@ -122,13 +122,22 @@ def test_a_connection_of_a_closed_lane_leads_nobody_on(network, way):
     assert course.edges[0].leads_on_m == out_of_open_lanes
 
 
-def test_one_open_lane_beside_a_bus_lane_is_no_place_to_change_lanes(network):
+def test_where_no_lane_is_open_to_cars_there_is_no_course(network):
     with pytest.raises(
         InputError,
-        match=r"^network 'own0\.net\.xml' has no drivable edge with two or more lanes; "
-        r"rail-sumo needs a place to change lanes$",
+        match=r"^network 'own0\.net\.xml' has no edge that is open to cars; rail-sumo drives a passenger car$",
     ):
-        road.load(network(edge("a", lanes=2, closed=(1,))))
+        road.load(network(edge("a", lanes=2, closed=(0, 1))))
+
+
+def test_one_open_lane_is_a_course_with_nothing_beside_it(network):
+    (only,) = road.load(network(edge("a", lanes=2, closed=(1,)))).edges
+    assert (only.n_lanes, only.to_left_m, only.to_right_m) == (1, (0.0,), (0.0,))
+
+
+def test_a_way_on_several_lanes_goes_before_a_longer_one_on_one_and_takes_in_what_leads_to_it(network):
+    edges = [edge("a", lanes=1), edge("b", x=(100.0, 200.0)), edge("c", lanes=1, x=(0.0, 900.0))]
+    assert course(network(*edges, leads_on("a", "b", [0]))) == ["a", "b"]
 
 
 def test_a_very_long_chain_is_chosen_without_recursion(network):
@@ -156,6 +165,7 @@ def fork(network):
         ("acd", "acd"),
         ("ce", "cde"),
         ("db", "deab"),
+        ("afd", "afd"),
     ],
 )
 def test_the_course_leads_over_the_edges_wanted_and_the_shortest_way_between(fork, wanted, edges):
@@ -181,10 +191,6 @@ def test_without_any_wanted_it_is_the_longest_way_as_ever(fork):
     ("wanted", "message"),
     [
         (["a", "x"], r"has no edge 'x', which network\.course names \(available: a, b, c, d, e, f\)$"),
-        (
-            ["a", "f", "d"],
-            r"the course runs over edge 'f', which has fewer than two lanes for cars; rail-sumo needs ",
-        ),
         (["a", "d", "b"], r"the course runs twice over edge 'a'; lead network\.course so that it does not, or name "),
     ],
 )

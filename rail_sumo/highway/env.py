@@ -28,13 +28,13 @@ from rail_sumo.records import KMH, SECONDS_PER_STEP, EndReason, Floats, Gaps, Ho
 
 MARGIN_M = 50.0
 """Room between the traffic window and the road's start, and between the host and the road's end."""
+SHORT_START = 0.25
+"""On a short road the host starts after this share of it."""
 CRAWL_MPS = 0.1
 STANDSTILL_STEPS = 3000
 """A host that has not moved for this many steps (five minutes) will not: the episode ends."""
 VEHICLE_M = 20.0
 """No vehicle reaches farther than this from its front bumper, by which SUMO places it."""
-HIGHEST_LIMIT_MPS = 250.0 / KMH
-"""Networks write a higher limit where a road has none."""
 ALL_ALLOWED = [True] * len(MetaAction)
 DEMAND_START_M = 10.0
 """Place on the course where the host enters the user's own traffic."""
@@ -75,7 +75,7 @@ class HighwayEnv(gymnasium.Env[Floats, np.int64]):
         self.fastest_mps = _fastest_mps(self._road, self.config.adas)
         closes_m = self.config.episode.decision_period_s * self.fastest_mps
         self._near_m = max(NEAR_M, closes_m + VEHICLE_M)
-        self._start_m = DEMAND_START_M if self.demand.has_traffic else self.config.traffic.behind_m + MARGIN_M
+        self._start_m = DEMAND_START_M if self.demand.has_traffic else self._window_start_m()
         self._overrun_m = MARGIN_M + closes_m
         end_m = math.inf if self._road.is_loop else self._road.length_m
         self.drivable_m = end_m - self._start_m - self._overrun_m
@@ -91,6 +91,11 @@ class HighwayEnv(gymnasium.Env[Floats, np.int64]):
         self._simulation: Simulation | None = None
         self._told: list[bool] | None = None
         self._end: EndReason | None = None
+
+    def _window_start_m(self) -> float:
+        """Return where the host starts in a window of traffic: with room for it behind, on a short road with less."""
+        whole_m = self.config.traffic.behind_m + MARGIN_M
+        return whole_m if self._road.is_loop else min(whole_m, SHORT_START * self._road.length_m)
 
     @sumo_process.as_input_errors
     def reset(self, *, seed: int | None = None, options: dict[str, Any] | None = None) -> tuple[Floats, dict[str, Any]]:
@@ -339,12 +344,6 @@ def _fastest_mps(course: Road, adas: AdasConfig) -> float:
             raise InputError(
                 f"network '{course.name}': edge '{edge.id}' has a speed limit of {edge.limit_mps * KMH:.0f} km/h; "
                 f"correct the network, or lead network.course around it"
-            )
-        if adas.max_speed_kmh == "limit" and edge.limit_mps > HIGHEST_LIMIT_MPS:
-            raise InputError(
-                f"network '{course.name}': edge '{edge.id}' has a speed limit of {edge.limit_mps * KMH:.0f} km/h, "
-                f"which is none; name the host's set speeds, for example by --set adas.max_speed_kmh=130 "
-                f"--set adas.min_speed_kmh=65 --set adas.start_speed_kmh=100"
             )
     limit_mps = course.highest_limit_mps
     lowest_mps, highest_mps = adas.lowest_mps(limit_mps), adas.highest_mps(limit_mps)

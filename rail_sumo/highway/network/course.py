@@ -2,7 +2,7 @@
 
 import itertools
 import math
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from typing import Any
 
 from rail_sumo.errors import InputError, did_you_mean
@@ -37,7 +37,7 @@ def along(net: Any, name: str, wanted: tuple[str, ...]) -> tuple[list[Any], bool
         wanted: the edges' ids, one or more.
 
     Raises:
-        InputError: no such edge, no such way, or a way with fewer than two lanes for cars or twice over one edge.
+        InputError: no such edge, no such way, or a way that is closed to cars or leads twice over one edge.
     """
     for edge_id in wanted:
         if not net.hasEdge(edge_id):
@@ -53,10 +53,10 @@ def along(net: Any, name: str, wanted: tuple[str, ...]) -> tuple[list[Any], bool
     if is_loop:
         edges.pop()
     for edge in edges:
-        if len(car_lanes(edge)) < 2:
+        if not car_lanes(edge):
             raise InputError(
-                f"network '{name}': the course runs over edge '{edge.getID()}', which has fewer than two lanes for "
-                f"cars; rail-sumo needs a place to change lanes, so lead network.course around it"
+                f"network '{name}': the course runs over edge '{edge.getID()}', which is closed to cars; lead "
+                f"network.course around it"
             )
         if edges.count(edge) > 1:
             raise InputError(
@@ -97,18 +97,17 @@ def _shortest(here: Any, ahead: Any, net: Any) -> tuple[Any, ...] | None:
 def longest(net: Any, name: str) -> tuple[list[Any], bool]:
     """Return the longest way straight on, round the bend where nothing leads straight on, and whether it is a loop.
 
-    It is the longest chain of edges with two or more lanes for cars in which each edge is followed by the one that its
-    most lanes lead straight on to, or else turn to; a loop counts twice its length, since it never ends. Equal chains
-    are told apart by their edges' ids, so the choice depends on the network alone.
+    It is the chain of edges with the longest way on two or more lanes for cars, and of these the longest in all, in
+    which each edge is followed by the one that its most lanes lead straight on to, or else turn to. A loop counts
+    twice its length, since it never ends. Equal chains are told apart by their edges' ids, so the choice depends on the
+    network alone.
 
     Raises:
-        InputError: no place to change lanes.
+        InputError: nowhere may cars drive.
     """
-    drivable = {edge for edge in net.getEdges(withInternal=False) if len(car_lanes(edge)) >= 2}
+    drivable = {edge for edge in net.getEdges(withInternal=False) if car_lanes(edge)}
     if not drivable:
-        raise InputError(
-            f"network '{name}' has no drivable edge with two or more lanes; rail-sumo needs a place to change lanes"
-        )
+        raise InputError(f"network '{name}' has no edge that is open to cars; rail-sumo drives a passenger car")
     return min(_chains({edge: _next(edge, drivable) for edge in drivable}), key=_rank)
 
 
@@ -143,7 +142,12 @@ def _chains(following: dict[Any, Any | None]) -> Iterator[tuple[list[Any], bool]
             yield loop[start:] + loop[:start], True
 
 
-def _rank(candidate: tuple[list[Any], bool]) -> tuple[float, list[str]]:
+def _rank(candidate: tuple[list[Any], bool]) -> tuple[float, float, list[str]]:
     chain, is_loop = candidate
-    length_m = math.fsum(edge.getLength() for edge in chain)  # exact: the same loop is as long from every edge
-    return -length_m * (2 if is_loop else 1), [edge.getID() for edge in chain]
+    rounds = 2 if is_loop else 1
+    several_m = _length_m(edge for edge in chain if len(car_lanes(edge)) > 1)
+    return -several_m * rounds, -_length_m(chain) * rounds, [edge.getID() for edge in chain]
+
+
+def _length_m(edges: Iterable[Any]) -> float:
+    return math.fsum(edge.getLength() for edge in edges)  # exact: the same loop is as long from every edge
