@@ -22,7 +22,9 @@ SWING_KMH = 10.0
 
 
 def simulate() -> Simulation:
-    simulation = Simulation(road.load("highway5"), adas=ANY_SPEED, seed=1, context_m=100.0)
+    course = road.load("highway5")
+    simulation = Simulation(course.net_file, seed=1)
+    simulation.lay_course(course, ANY_SPEED, sees_m=100.0)
     libsumo.route.add("along", ["highway"])
     libsumo.lane.setMaxSpeed(f"highway_{LANE}", ANY_SPEED.highest_mps(0.0))
     return simulation

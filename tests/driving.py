@@ -16,13 +16,19 @@ UNSEEN = 1_900_000_000
 
 
 def world(**sections):
-    """The default world for 60 s with some slow vehicles in it, set speeds of 40 to 80 km/h on any road; by section."""
+    """The default world for 60 s with some slow vehicles in it, set speeds of 40 to 80 km/h on any road; by section.
+
+    To a demand the host is added.
+    """
     tree = {
         "episode": {"course_m": math.inf, "duration_s": 60.0},
         "traffic": {"speed_low_kmh": 40.0},
         "adas": {"min_speed_kmh": 40.0, "start_speed_kmh": 60.0, "max_speed_kmh": 80.0},
     }
-    return validate({**tree, **{name: tree.get(name, {}) | changes for name, changes in sections.items()}})
+    tree |= {name: tree.get(name, {}) | changes for name, changes in sections.items()}
+    if tree["traffic"].get("routes"):
+        tree["traffic"].setdefault("host", "added")
+    return validate(tree)
 
 
 EMPTY = {"vehicles": 0}

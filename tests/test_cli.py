@@ -31,7 +31,8 @@ SHORT = ("--set", "episode.duration_s=5.0", "--workers", "1")
 
 CLOSED = """<net version="1.20">
 <location netOffset="0,0" convBoundary="0,0,9,0" origBoundary="0,0,9,0" projParameter="!"/>
-<edge id="e" from="a" to="b"><lane id="e_0" index="0" disallow="passenger" speed="13.9" length="9.0" shape="0,0 9,0"/></edge>
+<edge id="e" from="a" to="b">
+<lane id="e_0" index="0" disallow="passenger" speed="13.9" length="9.0" shape="0,0 9,0"/></edge>
 <junction id="a" type="dead_end" x="0" y="0" incLanes="" intLanes="" shape="0,0"/>
 <junction id="b" type="dead_end" x="9" y="0" incLanes="e_0" intLanes="" shape="9,0"/>
 </net>"""

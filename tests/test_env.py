@@ -519,7 +519,10 @@ def test_a_demand_that_begins_later_needs_to_be_told_when(make, tmp_path):
         '<routes><flow id="f" begin="25200" end="25500" period="4" departLane="random"><route edges="highway"/></flow>'
         "</routes>"
     )
-    with pytest.raises(InputError, match=r"^no vehicle of the demand is on the road at 60 s; set traffic\.begin_s"):
+    with pytest.raises(
+        InputError,
+        match=r"^no vehicle of the demand is on the road at 60 s; its vehicles depart from 25200 to 25500 s: ",
+    ):
         drive(make(world(traffic={"routes": (str(late),)})), always(KEEP))
     env = make(world(traffic={"routes": (str(late),), "begin_s": 25200.0}))
     env.reset(seed=1)

@@ -219,14 +219,19 @@ def test_a_host_that_strays_beyond_a_bicycle_lane_drives_on_there(make, tmp_path
     assert libsumo.vehicle.getLaneID(HOST) == "narrow_0"
 
 
-@pytest.mark.parametrize("length_m", [150.0, 250.0, 272.0])
-def test_a_road_too_short_to_drive_on_is_refused_before_anybody_drives(short_road, length_m):
+def test_a_road_too_short_to_drive_on_is_refused_before_anybody_drives(short_road):
     message = (
-        f"^network 'short': the course is {length_m:.0f} m long, and the host needs 200 m of it behind its start and "
-        "72 m to spare at the end; use a longer course or a smaller traffic.behind_m$"
+        "^network 'short': the course is 96 m long, and the host needs 24 m of it behind its start and 72 m to spare "
+        "at the end; use a longer course$"
     )
     with pytest.raises(InputError, match=message):
-        HighwayEnv(world(network=short_road(length_m)))
+        HighwayEnv(world(network=short_road(96.0)))
+
+
+def test_on_a_short_road_the_host_starts_after_a_quarter_of_it(make, short_road):
+    driven = drive(make(world(network=short_road(400.0), traffic=EMPTY)), always(KEEP))
+    assert driven.end_reason == "end of road"
+    assert driven.distance_m == pytest.approx(400.0 - 100.0 - 72.2, abs=17.0)  # it looks up every second
 
 
 @pytest.mark.parametrize("hands_off", [False, True])

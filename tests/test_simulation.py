@@ -31,7 +31,10 @@ FAST = config.Adas(max_speed_kmh=130.0, start_speed_kmh=60.0)
 
 
 def simulate(network=EXPRESSWAY, adas=FAST, **changes):
-    return Simulation(road.load(network), adas=adas, seed=1, context_m=300.0, **changes)
+    course = road.load(network)
+    simulation = Simulation(course.net_file, seed=1, **changes)
+    simulation.lay_course(course, adas, sees_m=300.0)
+    return simulation
 
 
 class Script:

@@ -6,7 +6,7 @@ import libsumo
 import numpy as np
 import pytest
 
-from rail_sumo import config
+from rail_sumo import assets, config
 from rail_sumo.highway.network import road
 from rail_sumo.highway.simulation import HOST, Simulation
 from rail_sumo.highway.traffic import CLEAR_OF_ANOTHER_M, CLEAR_OF_HOST_M, START_GAP_M, MovingWindow
@@ -24,7 +24,8 @@ class Window:
         self.config = traffic
         self.host_mps = host_kmh / KMH
         self.road = road.load(network)
-        self.simulation = Simulation(self.road, adas=ADAS, seed=1, context_m=120.0, outputs=outputs)
+        self.simulation = Simulation(self.road.net_file, seed=1, outputs=outputs)
+        self.simulation.lay_course(self.road, ADAS, sees_m=120.0)
         self.simulation.add_host(self.road.laps(0, 20_000.0), lane=2, front_m=START_M, speed_mps=self.host_mps)
         self.window = MovingWindow(
             self.simulation,
@@ -235,7 +236,8 @@ def test_the_vehicles_of_a_window_never_touch_one_another(window, tmp_path):
 
 
 def test_a_vehicle_ordered_off_the_road_or_into_another_stays_where_it_is():
-    with Simulation(road.load("highway5"), adas=ADAS, seed=1, context_m=120.0) as simulation:
+    with Simulation(assets.network("highway5"), seed=1) as simulation:
+        simulation.lay_course(road.load("highway5"), ADAS, sees_m=120.0)
         simulation.add_host(["highway"], lane=4, front_m=100.0, speed_mps=20.0)
         for name, lane in (("right", 0), ("left", 4), ("beside", 3), ("free", 1)):
             simulation.add_vehicle(
@@ -284,7 +286,8 @@ def test_of_two_that_would_move_into_one_lane_side_by_side_one_is_told_to(window
 
 def test_nobody_who_soon_leaves_its_edge_is_told_to_change_lanes():
     # SUMO crashes over an order that still holds on the next edge.
-    with Simulation(road.load("ring5"), adas=ADAS, seed=1, context_m=120.0) as simulation:
+    with Simulation(assets.network("ring5"), seed=1) as simulation:
+        simulation.lay_course(road.load("ring5"), ADAS, sees_m=120.0)
         edges = road.load("ring5").laps(0, 2000.0)
         simulation.add_host(edges, lane=4, front_m=50.0, speed_mps=15.0)
         length_m = road.load("ring5").edges[0].length_m

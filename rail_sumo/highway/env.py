@@ -10,31 +10,26 @@ import gymnasium
 import numpy as np
 from gymnasium import spaces
 
-from rail_sumo.config import Adas as AdasConfig
+from rail_sumo import assets
 from rail_sumo.config import Config
 from rail_sumo.config import Lidar as LidarConfig
 from rail_sumo.errors import InputError
-from rail_sumo.highway import sumo_process
+from rail_sumo.highway import entry, sumo_process
 from rail_sumo.highway.adas import Adas, HandsOff, lanes_leading_on
 from rail_sumo.highway.lidar import Lidar
 from rail_sumo.highway.network import demand, road
 from rail_sumo.highway.network.road import Road
 from rail_sumo.highway.observation import Layout
-from rail_sumo.highway.passing import NEAR_M, PassCounter
+from rail_sumo.highway.passing import PassCounter
 from rail_sumo.highway.reward import reward
 from rail_sumo.highway.simulation import HOST, Simulation
+from rail_sumo.highway.stretch import Stretch
 from rail_sumo.highway.traffic import MovingWindow
-from rail_sumo.records import KMH, SECONDS_PER_STEP, EndReason, Floats, Gaps, HostState, MetaAction, Scene, Trajectory
+from rail_sumo.records import SECONDS_PER_STEP, EndReason, Floats, Gaps, HostState, MetaAction, Scene, Trajectory
 
-MARGIN_M = 50.0
-"""Room between the traffic window and the road's start, and between the host and the road's end."""
-SHORT_START = 0.25
-"""On a short road the host starts after this share of it."""
 CRAWL_MPS = 0.1
 STANDSTILL_STEPS = 3000
 """A host that has not moved for this many steps (five minutes) will not: the episode ends."""
-VEHICLE_M = 20.0
-"""No vehicle reaches farther than this from its front bumper, by which SUMO places it."""
 ALL_ALLOWED = [True] * len(MetaAction)
 DEMAND_START_M = 10.0
 """Place on the course where the host enters the user's own traffic."""
@@ -62,40 +57,27 @@ class HighwayEnv(gymnasium.Env[Floats, np.int64]):
         self.config = config or Config()
         self._hands_off = hands_off
         self._outputs = outputs
-        self._road = road.load(self.config.network.file, self.config.network.course)
-        traffic = self.config.traffic
-        self.demand = demand.read(traffic)
+        self.demand = demand.read(self.config.traffic)
         """The user's own; see `Demand.has_traffic`."""
-        lidar = self.config.lidar
-        self._lidar = _lidar(lidar, self._road)
-        self._layout = Layout(lidar, self.config.observation)
+        self._replaces = self.demand.has_traffic and self.config.traffic.host != "added"
+        self._net_file = assets.network(self.config.network.file)
+        if not self._replaces:
+            course = road.load(self.config.network.file, self.config.network.course)
+            self.stretch = (
+                Stretch.along(course, self.config, DEMAND_START_M)
+                if self.demand.has_traffic
+                else Stretch.in_window(course, self.config)
+            )
+            """What the host drives; where it replaces a car, known from `reset` on."""
+        self._layout = Layout(self.config.lidar, self.config.observation)
         self.observation_space = spaces.Box(*self._layout.bounds, dtype=np.float64)
         self.action_space = spaces.Discrete(len(MetaAction))
         self._period_steps = round(self.config.episode.decision_period_s / SECONDS_PER_STEP)
-        self.fastest_mps = _fastest_mps(self._road, self.config.adas)
-        closes_m = self.config.episode.decision_period_s * self.fastest_mps
-        self._near_m = max(NEAR_M, closes_m + VEHICLE_M)
-        self._start_m = DEMAND_START_M if self.demand.has_traffic else self._window_start_m()
-        self._overrun_m = MARGIN_M + closes_m
-        end_m = math.inf if self._road.is_loop else self._road.length_m
-        self.drivable_m = end_m - self._start_m - self._overrun_m
-        """How far the host can drive before the road ends; inf on a loop."""
-        if self.drivable_m <= 0.0:
-            raise InputError(
-                f"network '{self._road.name}': the course is {self._road.length_m:.0f} m long, and the host needs "
-                f"{self._start_m:.0f} m of it behind its start and {self._overrun_m:.0f} m to spare at the end; use a "
-                f"longer course or a smaller traffic.behind_m"
-            )
         duration_steps = self.config.episode.duration_s / SECONDS_PER_STEP
         self._duration_steps = sys.maxsize if math.isinf(duration_steps) else math.ceil(duration_steps - 1e-6)
         self._simulation: Simulation | None = None
         self._told: list[bool] | None = None
         self._end: EndReason | None = None
-
-    def _window_start_m(self) -> float:
-        """Return where the host starts in a window of traffic: with room for it behind, on a short road with less."""
-        whole_m = self.config.traffic.behind_m + MARGIN_M
-        return whole_m if self._road.is_loop else min(whole_m, SHORT_START * self._road.length_m)
 
     @sumo_process.as_input_errors
     def reset(self, *, seed: int | None = None, options: dict[str, Any] | None = None) -> tuple[Floats, dict[str, Any]]:
@@ -103,7 +85,6 @@ class HighwayEnv(gymnasium.Env[Floats, np.int64]):
         super().reset(seed=seed)
         self.close()
         self._seed = int(self.np_random.integers(2**31)) if seed is None else seed
-        self._passes = PassCounter(self._near_m)
         self._layout.reset()
         self._overtakes = self._overtaken = 0
         self._observations: list[Floats] = []
@@ -124,47 +105,72 @@ class HighwayEnv(gymnasium.Env[Floats, np.int64]):
     def _open(self, rng: np.random.Generator) -> None:
         """Put the host and its traffic on the road."""
         traffic, adas = self.config.traffic, self.config.adas
-        place = self._road.place(self._start_m)
-        assert place is not None  # or nothing were drivable
         simulation = self._simulation = Simulation(
-            self._road,
+            self._net_file,
             demand=self.demand,
             begin_s=traffic.begin_s,
-            adas=adas,
             seed=self._seed,
-            context_m=max(self.config.lidar.max_range_m, self._near_m) + VEHICLE_M,
             outputs=self._outputs,
         )
-        edge = self._road.edges[place[0]]
-        start_mps = adas.clipped_mps(adas.start_mps(edge.limit_mps), edge.limit_mps)
-        lanes = lanes_leading_on(edge.ends_in_m(place[1]))
-        lane = lanes[int(rng.integers(len(lanes)))]
-        episode = self.config.episode
-        farthest_m = min(episode.course_m, episode.duration_s * self.fastest_mps) + self._overrun_m
-        edges = self._road.laps(place[0], place[1] + farthest_m)
-        has_traffic = self.demand.has_traffic
-        if has_traffic:
-            simulation.run_without_host(traffic.warm_up_s)
-            if not simulation.on_road():
-                raise InputError(
-                    f"no vehicle of the demand is on the road at {traffic.begin_s + traffic.warm_up_s:.0f} s; set "
-                    f"traffic.begin_s to a time with traffic, or lengthen traffic.warm_up_s"
-                )
-        as_traffic = has_traffic and adas.starts_by_the_limit
-        simulation.add_host(edges, lane=lane, front_m=place[1], speed_mps=start_mps, as_traffic=as_traffic)
         self._window: MovingWindow | None = None
-        if not has_traffic:
-            self._window = MovingWindow(
-                simulation, self._road, traffic, host_s_m=self._start_m, host_lane=lane, farthest_m=farthest_m, rng=rng
-            )
+        if self._replaces:
+            self.stretch = entry.replace(simulation, self.config, self.demand, rng)
+        else:
+            self._add_host(simulation, rng)
         simulation.wait_for_host()
+        stretch = self.stretch
+        self._lidar = _lidar(self.config.lidar, stretch.road)
+        self._passes = PassCounter(stretch.near_m)
         if self._hands_off:
             kind = self._hands_off if isinstance(self._hands_off, str) else None
             self._adas: Adas | HandsOff = HandsOff(adas, keeps_limits=kind is None)
             simulation.host.hand_over(kind)
         else:
-            entered_mps = simulation.host.speeds_mps[0] if as_traffic else start_mps
-            self._adas = Adas(adas, start_mps=max(start_mps, entered_mps))
+            place = stretch.road.place(stretch.start_m)
+            assert place is not None  # or nothing were drivable
+            limit_mps = stretch.road.edges[place[0]].limit_mps
+            start_mps = adas.clipped_mps(adas.start_mps(limit_mps), limit_mps)
+            enters_as_traffic = self.demand.has_traffic and adas.starts_by_the_limit
+            self._adas = Adas(
+                adas, start_mps=max(start_mps, simulation.host.speeds_mps[0]) if enters_as_traffic else start_mps
+            )
+
+    def _add_host(self, simulation: Simulation, rng: np.random.Generator) -> None:
+        """Add a host of ours to the demand, or to a window of traffic that is made for it."""
+        traffic, adas, stretch = self.config.traffic, self.config.adas, self.stretch
+        place = stretch.road.place(stretch.start_m)
+        assert place is not None  # or nothing were drivable
+        simulation.lay_course(stretch.road, adas, sees_m=stretch.sees_m)
+        edge = stretch.road.edges[place[0]]
+        lanes = lanes_leading_on(edge.ends_in_m(place[1]))
+        lane = lanes[int(rng.integers(len(lanes)))]
+        has_traffic = self.demand.has_traffic
+        if has_traffic:
+            simulation.run_without_host(traffic.warm_up_s)
+            if not simulation.on_road():
+                first_s, last_s = self.demand.departs_s
+                raise InputError(
+                    f"no vehicle of the demand is on the road at {traffic.begin_s + traffic.warm_up_s:.0f} s; its "
+                    f"vehicles depart from {first_s:.0f} to {last_s:.0f} s: set traffic.begin_s to a time with "
+                    f"traffic, or lengthen traffic.warm_up_s"
+                )
+        simulation.add_host(
+            stretch.road.laps(place[0], place[1] + stretch.farthest_m),
+            lane=lane,
+            front_m=place[1],
+            speed_mps=adas.clipped_mps(adas.start_mps(edge.limit_mps), edge.limit_mps),
+            as_traffic=has_traffic and adas.starts_by_the_limit,
+        )
+        if not has_traffic:
+            self._window = MovingWindow(
+                simulation,
+                stretch.road,
+                traffic,
+                host_s_m=stretch.start_m,
+                host_lane=lane,
+                farthest_m=stretch.farthest_m,
+                rng=rng,
+            )
 
     def step(self, action: int | np.int64) -> tuple[Floats, float, bool, bool, dict[str, Any]]:
         """Take one decision and drive until the next falls due.
@@ -250,7 +256,7 @@ class HighwayEnv(gymnasium.Env[Floats, np.int64]):
             return "course"
         if len(self._lane_changing) >= self._duration_steps:
             return "duration"
-        if travelled_m >= self.drivable_m:
+        if travelled_m >= self.stretch.drivable_m:
             return "end of road"
         speeds = self._simulation.host.speeds_mps
         crawls = speeds[-1] < CRAWL_MPS and len(speeds) >= STANDSTILL_STEPS
@@ -317,7 +323,7 @@ class HighwayEnv(gymnasium.Env[Floats, np.int64]):
             min_ttc_s=self._simulation.host.min_ttc_s,
             end_reason=self._end,
             seed=self._seed,
-            network=self._road.name,
+            network=self.stretch.road.name,
         )
 
     def close(self) -> None:
@@ -331,29 +337,6 @@ class HighwayEnv(gymnasium.Env[Floats, np.int64]):
 def _lidar(settings: LidarConfig, course: Road) -> Lidar:
     """Return the LIDAR of a course: one for all episodes, since it remembers which road edges are near where."""
     return Lidar(settings.n_rays, settings.max_range_m, course.boundaries if settings.road_edges else None)
-
-
-def _fastest_mps(course: Road, adas: AdasConfig) -> float:
-    """Return the host's highest set speed on its course.
-
-    Raises:
-        InputError: a limit, or a range of set speeds, with which nobody can drive.
-    """
-    for edge in course.edges:
-        if edge.limit_mps <= 0.0:
-            raise InputError(
-                f"network '{course.name}': edge '{edge.id}' has a speed limit of {edge.limit_mps * KMH:.0f} km/h; "
-                f"correct the network, or lead network.course around it"
-            )
-    limit_mps = course.highest_limit_mps
-    lowest_mps, highest_mps = adas.lowest_mps(limit_mps), adas.highest_mps(limit_mps)
-    if lowest_mps >= highest_mps:
-        raise InputError(
-            f"network '{course.name}': the lowest set speed, {lowest_mps * KMH:.0f} km/h (adas.min_speed_kmh = "
-            f"{adas.min_speed_kmh}), is not below the highest, {highest_mps * KMH:.0f} km/h (adas.max_speed_kmh = "
-            f"{adas.max_speed_kmh}), where the limit is {limit_mps * KMH:.0f} km/h; lower the one or raise the other"
-        )
-    return highest_mps
 
 
 gymnasium.register("RailSumo/Highway-v0", entry_point="rail_sumo.highway.env:HighwayEnv")

@@ -2,6 +2,7 @@
 
 import os
 from collections.abc import Sequence
+from dataclasses import dataclass
 from pathlib import Path
 from statistics import fmean
 
@@ -13,6 +14,7 @@ from rail_sumo.errors import InputError
 from rail_sumo.highway import placing, sumo_process
 from rail_sumo.highway.host import HOST_TYPE, Host, way_of
 from rail_sumo.highway.names import HOST, OURS
+from rail_sumo.highway.network.course import CAR
 from rail_sumo.highway.network.demand import Demand
 from rail_sumo.highway.network.road import Road
 from rail_sumo.records import SECONDS_PER_STEP, Command, Scene
@@ -58,20 +60,32 @@ STOREY_M = 3.0
 """Vehicles farther above or below drive on another road, as on a bridge."""
 
 
+@dataclass(frozen=True, slots=True)
+class Car:
+    """A car of the demand, where SUMO has inserted it."""
+
+    name: str
+    edges: tuple[str, ...]
+    """Of its route."""
+    lane: int
+    front_m: float
+    speed_mps: float
+    length_m: float
+    width_m: float
+
+
 class Simulation:
-    """SUMO on one network with one host vehicle, its `host`.
+    """SUMO on one network, with one host vehicle, its `host`, once it has a course.
 
     libsumo holds one simulation a process, so a second one is refused while the first is open. Close it, or use it as
     a context manager.
 
     Args:
-        road: the network and the host's course on it.
+        net_file: the network.
         demand: the user's own traffic, additional files and options of SUMO's. What these have SUMO write is deleted
             at the end.
         begin_s: when to begin in the demand's time, in seconds.
-        adas: limits of the host's own car-following (ACC and AEB).
         seed: SUMO's seed.
-        context_m: how far from the host, along either axis, a `Scene` shows vehicles.
         outputs: further options of SUMO's, such as its own reports.
 
     Raises:
@@ -81,26 +95,22 @@ class Simulation:
 
     def __init__(
         self,
-        road: Road,
+        net_file: Path,
         *,
         demand: Demand = NOTHING,
         begin_s: float = 0.0,
-        adas: config.Adas,
         seed: int,
-        context_m: float,
         outputs: Sequence[str] = (),
     ) -> None:
-        self._context_m = context_m
         self._sizes: dict[str, tuple[float, float]] = {}
         self._routes: dict[tuple[str, ...], str] = {}
-        self._edges = road.edge_of
         self._held: dict[str, int] = {}  # vehicles kept from changing lanes, and their own lane-change modes
         self._prefix = f"{OURS}{os.getpid()}_"
         self._written = demand.folders_written
         self._outputs = outputs
         types = (HOST_TYPES,) if demand.has_traffic else (HOST_TYPES, TRAFFIC_TYPES)
         options = {
-            "net-file": road.net_file,
+            "net-file": net_file,
             "additional-files": ",".join(map(str, (*types, *demand.additional))),
             "begin": begin_s,
             "time-to-teleport": -1,
@@ -118,7 +128,6 @@ class Simulation:
         except sumo_process.Refused as error:
             raise InputError(f"SUMO cannot load the network or its demand: {error}") from None
         self._is_open = True
-        self.host = Host(road, adas)
 
     def __enter__(self) -> "Simulation":
         return self
@@ -138,6 +147,18 @@ class Simulation:
             for folder in self._written:
                 for report in folder.glob(f"{self._prefix}*"):
                     report.unlink(missing_ok=True)
+
+    def lay_course(self, road: Road, adas: config.Adas, *, sees_m: float) -> None:
+        """Tell where the host will drive.
+
+        Args:
+            road: its course.
+            adas: limits of its car-following (ACC and AEB).
+            sees_m: how far from it, along either axis, a `Scene` shows vehicles.
+        """
+        self.host = Host(road, adas)
+        self._edges = road.edge_of
+        self._context_m = sees_m
 
     # Vehicles come and go.
 
@@ -173,6 +194,32 @@ class Simulation:
         self._ceiling_mps = ceiling_mps if as_traffic else min(speed_mps, ceiling_mps)
         self._start = (edges, lane, front_m)
         self._enter(f"{min(speed_mps if there_mps is None else there_mps, ceiling_mps):.3f}")
+
+    def departed_cars(self) -> list["Car"]:
+        """Return the cars that have been inserted in the last step."""
+        get = libsumo.vehicle
+        return [
+            Car(
+                name,
+                tuple(get.getRoute(name)),
+                lane=get.getLaneIndex(name),
+                front_m=get.getLanePosition(name),
+                speed_mps=get.getSpeed(name),
+                length_m=get.getLength(name),
+                width_m=get.getWidth(name),
+            )
+            for name in libsumo.simulation.getDepartedIDList()
+            if get.getVehicleClass(name) == CAR and get.getRoadID(name) == get.getRoute(name)[0]
+        ]
+
+    def replace(self, car: "Car", edges: Sequence[str]) -> None:
+        """Put the host in the place of a car that has just been inserted, as large as it, to drive along some edges."""
+        libsumo.vehicle.remove(car.name)
+        libsumo.vehicletype.setLength(HOST_TYPE, car.length_m)
+        libsumo.vehicletype.setWidth(HOST_TYPE, car.width_m)
+        self._ceiling_mps = min(libsumo.lane.getMaxSpeed(f"{edges[0]}_{car.lane}"), self.host.fastest_mps)
+        self._start = (edges, car.lane, car.front_m)
+        self._enter(f"{min(car.speed_mps, self._ceiling_mps):.3f}")
 
     def _enter(self, speed: str) -> None:
         self._add(HOST, HOST_TYPE, *self._start, speed)
@@ -332,6 +379,21 @@ class Simulation:
         for name in sorted(self._held.keys() & self.on_road()):
             libsumo.vehicle.setLaneChangeMode(name, self._held[name])
         self._held = {}
+
+    @property
+    def now_s(self) -> float:
+        """The demand's time."""
+        return libsumo.simulation.getTime()
+
+    @property
+    def expects_vehicles(self) -> bool:
+        """Whether anybody is on the road or yet to depart."""
+        return libsumo.simulation.getMinExpectedNumber() > 0
+
+    def run_until(self, time_s: float) -> None:
+        """Let the traffic drive until a time, before the host is watched; not at all if it has passed."""
+        if time_s > self.now_s:
+            libsumo.simulation.step(time_s)
 
     def run_without_host(self, seconds: float) -> None:
         """Let the traffic drive, for one step at least, before the host is watched."""

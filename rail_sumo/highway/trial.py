@@ -7,6 +7,7 @@ from rail_sumo.config import Config
 from rail_sumo.highway.env import HighwayEnv
 from rail_sumo.highway.network import demand, road
 from rail_sumo.highway.network.road import Road
+from rail_sumo.highway.stretch import Stretch
 
 
 def check(world: Config) -> tuple[Road, list[str]]:
@@ -15,11 +16,12 @@ def check(world: Config) -> tuple[Road, list[str]]:
     Raises:
         InputError: it cannot be driven.
     """
-    course, env = road.load(world.network.file, world.network.course), HighwayEnv(world)
+    env = HighwayEnv(world)
     try:
         env.reset(seed=0)
+        course = env.stretch.road
         return course, [
-            *_shortness(world, env),
+            *_shortness(env.stretch),
             *road.warnings(course),
             *demand.warnings(env.demand),
             *_solitude(env),
@@ -28,12 +30,12 @@ def check(world: Config) -> tuple[Road, list[str]]:
         env.close()
 
 
-def _shortness(world: Config, env: HighwayEnv) -> Iterator[str]:
-    farthest_m = min(world.episode.course_m, world.episode.duration_s * env.fastest_mps)
-    if env.drivable_m < farthest_m:
+def _shortness(stretch: Stretch) -> Iterator[str]:
+    farthest_m = stretch.farthest_m - stretch.overrun_m
+    if stretch.drivable_m < farthest_m:
         yield (
-            f"the road ends {env.drivable_m:.0f} m after the host's start, and so will episodes of up to "
-            f"{farthest_m:.0f} m; set episode.course_m to {math.floor(env.drivable_m)} or less"
+            f"the road ends {stretch.drivable_m:.0f} m after the host's start, and so will episodes of up to "
+            f"{farthest_m:.0f} m; set episode.course_m to {math.floor(stretch.drivable_m)} or less"
         )
 
 

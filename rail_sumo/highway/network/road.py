@@ -180,7 +180,7 @@ def warnings(road: Road) -> Iterator[str]:
 
 @lru_cache(maxsize=32)
 def _load(path: Path, wanted: tuple[str, ...], state: tuple[int, int]) -> Road:
-    net, sight_m = _read(path)
+    net, sight_m = _read(path, state)
     edges, is_loop = course.along(net, path.name, wanted) if wanted else course.longest(net, path.name)
     joints = [connections(here, ahead) for here, ahead in itertools.pairwise(edges)]
     joints.append(connections(edges[-1], edges[0]) if is_loop else [])
@@ -219,7 +219,8 @@ class _Reader(sumolib.net.NetReader):
             self.sight_m[attrs["via"]] = float(attrs["visibility"])
 
 
-def _read(path: Path) -> tuple[Any, dict[str, float]]:
+@lru_cache(maxsize=1)  # the host may take another course in every episode
+def _read(path: Path, state: tuple[int, int]) -> tuple[Any, dict[str, float]]:
     # Not sumolib.net.readNet: it picks another parser when lxml is installed and leaves files open after an error.
     reader = _Reader()
     try:

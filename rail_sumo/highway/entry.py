@@ -1,0 +1,84 @@
+"""Which vehicle of a user's demand the host takes the place of, and when."""
+
+import itertools
+import math
+
+import numpy as np
+
+from rail_sumo.config import Config
+from rail_sumo.errors import InputError
+from rail_sumo.highway.network import road
+from rail_sumo.highway.network.demand import Demand
+from rail_sumo.highway.simulation import Car, Simulation
+from rail_sumo.highway.stretch import Stretch
+from rail_sumo.records import SECONDS_PER_STEP
+
+WAIT_S = 600.0
+"""How long to wait for a car that the host can replace."""
+CHOOSY_S = 60.0
+"""After so long a car will do whose route is too short, if none before it had a longer one."""
+
+
+def replace(simulation: Simulation, config: Config, demand: Demand, rng: np.random.Generator) -> Stretch:
+    """Let the demand drive until a car departs that the host can replace, and put the host in its place.
+
+    It is the first after a moment drawn evenly from `traffic.entry_within_s` after the warm-up, or the vehicle that
+    `traffic.host` names.
+
+    Returns:
+        The stretch along that car's route, from where it departs.
+
+    Raises:
+        InputError: no car departs that the host could replace.
+    """
+    traffic = config.traffic
+    by_name = traffic.host != "replaces"
+    first_s, last_s = demand.departs_s
+    earliest_s = max(min(traffic.begin_s + traffic.warm_up_s, last_s), first_s, traffic.begin_s)
+    if by_name:
+        from_s, until_s = traffic.begin_s, last_s + WAIT_S
+    else:
+        from_s = rng.uniform(earliest_s, max(min(last_s, earliest_s + traffic.entry_within_s), earliest_s))
+        until_s = from_s + WAIT_S
+    simulation.run_until(from_s - SECONDS_PER_STEP)
+    longest_m = 0.0
+    for steps in itertools.count(1):
+        simulation.run_without_host(SECONDS_PER_STEP)
+        for car in simulation.departed_cars():
+            if by_name and car.name != traffic.host:
+                continue
+            stretch = _stretch(car, config)
+            if stretch is None:
+                continue
+            long_enough_m = traffic.shortest_route_m if steps * SECONDS_PER_STEP < CHOOSY_S else longest_m
+            longest_m = max(longest_m, stretch.drivable_m)
+            if by_name or stretch.drivable_m >= long_enough_m:
+                simulation.lay_course(stretch.road, config.adas, sees_m=stretch.sees_m)
+                simulation.replace(car, stretch.road.laps(0, stretch.start_m + stretch.farthest_m))
+                return stretch
+        if simulation.now_s > until_s or not simulation.expects_vehicles:
+            break
+    raise InputError(_nobody(config, simulation.now_s, first_s, last_s))
+
+
+def _stretch(car: Car, config: Config) -> Stretch | None:
+    """Return the stretch along a car's route, as far as it comes over no edge again; None if none could be driven."""
+    edges = car.edges[: next((k for k, edge in enumerate(car.edges) if edge in car.edges[:k]), len(car.edges))]
+    wanted = config.network.course
+    if wanted and not any(edges[k : k + len(wanted)] == wanted for k in range(len(edges))):
+        return None
+    try:
+        return Stretch.along(road.load(config.network.file, edges), config, car.front_m)
+    except InputError:  # too short, or not on lanes that the host may use
+        return None
+
+
+def _nobody(config: Config, now_s: float, first_s: float, last_s: float) -> str:
+    until = "on" if math.isinf(last_s) else f"to {last_s:.0f} s"
+    asked = config.traffic.host
+    what = "no car that the host could replace" if asked == "replaces" else f"vehicle '{asked}' of traffic.host not"
+    along = " along network.course" if config.network.course else ""
+    return (
+        f"{what} departed{along} by {now_s:.0f} s; the demand's vehicles depart from {first_s:.0f} s {until}: change "
+        f"traffic.begin_s, or set traffic.host to 'added' or to a car's id"
+    )

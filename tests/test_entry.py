@@ -1,0 +1,156 @@
+"""The host in the place of one of the demand's cars."""
+
+import libsumo
+import pytest
+from driving import KEEP, always, drive, world
+
+from rail_sumo import assets
+from rail_sumo.errors import InputError
+from rail_sumo.highway.names import HOST
+
+CARS = 40
+"""One every 10 s, every fourth of them a lorry."""
+
+
+def demand(tmp_path, *rows, route="highway"):
+    path = tmp_path / "cars.rou.xml"
+    cars = "".join(
+        f'<vehicle id="{"lorry" if k % 4 == 3 else "car"}{k}" type="{"lorry" if k % 4 == 3 else "car"}" '
+        f'depart="{10 * k}" departLane="{k % 3}" departSpeed="20"><route edges="{route}"/></vehicle>'
+        for k in range(CARS)
+    )
+    types = '<vType id="car" length="4.1" width="1.7" sigma="0"/><vType id="lorry" vClass="truck" sigma="0"/>'
+    path.write_text(f"<routes>{types}{''.join(rows) or cars}</routes>")
+    return {"routes": [str(path)], "host": "replaces"}
+
+
+def on_highway3(traffic, **sections):
+    return world(network={"file": "highway3"}, traffic=traffic, **sections)
+
+
+def missing():
+    """The one of the cars that has departed by now and is not on the road."""
+    due = {f"{'lorry' if k % 4 == 3 else 'car'}{k}": 10 * k for k in range(CARS)}
+    now_s = libsumo.simulation.getTime()
+    gone = [name for name, at_s in due.items() if now_s - 300 < at_s < now_s and name not in libsumo.vehicle.getIDList()]
+    (one,) = gone
+    return one
+
+
+def test_the_host_departs_in_place_of_a_car_where_when_and_as_large_as_it(make, tmp_path):
+    replaced = set()
+    for seed in range(12):
+        env = make(on_highway3(demand(tmp_path)))
+        env.reset(seed=seed)
+        car = missing()
+        number = int(car.removeprefix("car"))  # no lorry
+        assert libsumo.simulation.getTime() == pytest.approx(10 * number + 0.2, abs=0.101)
+        assert libsumo.vehicle.getLaneIndex(HOST) == number % 3
+        assert libsumo.vehicle.getSpeed(HOST) == pytest.approx(20.0, abs=0.5)
+        assert (libsumo.vehicle.getLength(HOST), libsumo.vehicle.getWidth(HOST)) == (4.1, 1.7)
+        assert libsumo.vehicle.getRoute(HOST) == ("highway",)
+        replaced.add(number)
+    assert min(replaced) >= 6  # after the warm-up of 60 s
+    assert len(replaced) > 6
+    assert max(replaced) - min(replaced) > 15  # all over the demand's time
+
+
+def test_every_driver_replaces_the_same_car_of_a_seed(make, tmp_path):
+    cars = []
+    for hands_off in (False, True):
+        env = make(on_highway3(demand(tmp_path)), hands_off=hands_off)
+        env.reset(seed=5)
+        cars.append((missing(), libsumo.simulation.getTime()))
+    assert cars[0] == cars[1]
+
+
+def test_a_vehicle_may_be_named(make, tmp_path):
+    env = make(on_highway3(demand(tmp_path) | {"host": "car2"}))  # which departs within the warm-up
+    env.reset(seed=0)
+    assert (missing(), libsumo.simulation.getTime()) == ("car2", pytest.approx(20.2, abs=0.101))
+
+
+def test_the_others_drive_as_they_would_have_ahead_of_it(make, tmp_path):
+    """Traffic stays the user's to the vehicle: who is ahead does not know who follows."""
+    env = make(on_highway3(demand(tmp_path) | {"host": "car20"}))
+    drive(env, always(KEEP), seed=3)
+    with_host = {name: libsumo.vehicle.getDistance(name) for name in ("car17", "car18", "lorry19")}
+    at_s = libsumo.simulation.getTime()
+    env.close()
+    alone = make(on_highway3(demand(tmp_path) | {"host": "car38"}))
+    alone.reset(seed=3)
+    assert libsumo.simulation.getTime() > at_s
+    alone.close()
+    libsumo.start(["sumo", "-n", str(env.stretch.road.net_file), "-r", str(tmp_path / "cars.rou.xml"),
+                   "--step-length", "0.1", "--seed", "3", "--no-step-log", "true"])  # fmt: skip
+    try:
+        libsumo.simulation.step(at_s)
+        assert {name: libsumo.vehicle.getDistance(name) for name in with_host} == pytest.approx(with_host, abs=0.5)
+    finally:
+        libsumo.close()
+
+
+def rows(*routes):
+    return [f'<vehicle id="v{k}" depart="{5 * k}"><route edges="{route}"/></vehicle>' for k, route in enumerate(routes)]
+
+
+def test_cars_with_little_to_drive_are_left_out_unless_there_are_no_others(make, tmp_path):
+    path = two_roads_file(tmp_path)
+    long_and_short = demand(tmp_path, *rows(*["short", "highway"] * 30))
+    for seed in range(8):
+        env = make(world(network={"file": path}, traffic=long_and_short))
+        env.reset(seed=seed)
+        assert libsumo.vehicle.getRoute(HOST) == ("highway",)
+    only_short = demand(tmp_path, *rows(*["short"] * 60))
+    env = make(world(network={"file": path}, traffic=only_short))
+    env.reset(seed=0)
+    assert libsumo.vehicle.getRoute(HOST) == ("short",)
+
+
+def two_roads_file(tmp_path):
+    text = assets.network("highway3").read_text()
+    short = (
+        '<edge id="short" from="x" to="y"><lane id="short_0" index="0" speed="20" length="300.00" '
+        'shape="0,-90 300,-90"/></edge>'
+        '<junction id="x" type="dead_end" x="0" y="-90" incLanes="" intLanes="" shape="0,-90"/>'
+        '<junction id="y" type="dead_end" x="300" y="-90" incLanes="short_0" intLanes="" shape="300,-90"/>'
+    )
+    path = tmp_path / "two.net.xml"
+    path.write_text(text.replace("<junction", short + "<junction", 1))
+    return str(path)
+
+
+def test_with_a_course_only_cars_that_drive_along_it_are_replaced(make, tmp_path):
+    path = two_roads_file(tmp_path)
+    traffic = demand(tmp_path, *rows(*["highway", "short"] * 30))
+    for seed in range(4):
+        env = make(world(network={"file": path, "course": ["short"]}, traffic=traffic))
+        env.reset(seed=seed)
+        assert libsumo.vehicle.getRoute(HOST) == ("short",)
+
+
+def test_a_demand_that_ends_within_the_warm_up_is_entered_while_it_departs(make, tmp_path):
+    env = make(on_highway3(demand(tmp_path, *rows(*["highway"] * 4))))
+    env.reset(seed=0)
+    assert libsumo.simulation.getTime() == pytest.approx(15.2, abs=0.2)
+
+
+@pytest.mark.parametrize(
+    ("changes", "said"),
+    [
+        ({"host": "car7"}, "^vehicle 'car7' of traffic.host not departed by"),
+        ({"warm_up_s": 395.0}, "^no car that the host could replace departed by .* depart from 0 s to 390 s: change "),
+        ({"begin_s": 5000.0}, "^no car that the host could replace departed by .* depart from 0 s to 390 s: change "),
+    ],
+)
+def test_where_no_car_departs_it_is_told_when_they_do(make, tmp_path, changes, said):
+    with pytest.raises(InputError, match=said):
+        make(on_highway3(demand(tmp_path) | changes)).reset(seed=0)
+
+
+def test_a_replaced_cars_route_is_the_course_to_its_end(make, tmp_path):
+    env = make(on_highway3(demand(tmp_path), episode={"duration_s": 600.0}))
+    driven = drive(env, always(KEEP), seed=1)
+    assert driven.end_reason == "end of road"
+    assert driven.distance_m == pytest.approx(env.stretch.drivable_m, abs=25.0)
+    assert env.stretch.start_m == pytest.approx(4.2, abs=3.0)
