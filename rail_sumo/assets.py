@@ -29,6 +29,11 @@ def network(name_or_path: str) -> Path:
     return _find("network", name_or_path, NETWORK_SUFFIX, "networks")
 
 
+def network_name(name_or_path: str) -> str:
+    """Return what tables call a network: its file's name without the suffix."""
+    return Path(name_or_path).name.removesuffix(".gz").removesuffix(NETWORK_SUFFIX)
+
+
 def routes(name_or_path: str) -> Path:
     """Return the file of a shipped demand example, or the user's own; errors as in `network`."""
     return _find("routes", name_or_path, ROUTES_SUFFIX, "routes")

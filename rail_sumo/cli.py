@@ -390,6 +390,9 @@ class _Bars:
                 told.append(form.format_map(figures))
         self._progress.update(self._task, advance=1, figures=" ".join(told))
 
+    def note(self, text: str) -> None:
+        self._progress.console.print(f"rail-sumo: {text}", soft_wrap=True, markup=False, highlight=False)
+
 
 @contextmanager
 def _bars() -> Iterator[_Bars]:

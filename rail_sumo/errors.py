@@ -15,6 +15,10 @@ class ObservationError(InputError):
     """A driver is to drive on another observation than it was trained on."""
 
 
+class NotBegun(InputError):
+    """An episode could not begin."""
+
+
 def did_you_mean(given: str, available: Iterable[str], *, also: Iterable[str] = ()) -> str:
     """Return `"; did you mean 'x'? (available: ...)"` for an unknown name; without a near name, only the list.
 

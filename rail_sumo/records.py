@@ -118,7 +118,9 @@ class Command(NamedTuple):
     steps: int = 1
 
 
-EndReason = Literal["course", "duration", "collision", "end of road", "standstill"]
+EndReason = Literal["course", "duration", "collision", "end of road", "standstill", "not begun", "SUMO stopped"]
+UNDRIVEN: tuple[EndReason, ...] = ("not begun", "SUMO stopped")
+"""Why an episode has no figures."""
 
 
 @dataclass(frozen=True, slots=True)

@@ -12,7 +12,7 @@ from rich.table import Table
 
 from rail_sumo import statistics
 from rail_sumo.files import whole_folder
-from rail_sumo.records import EPISODE_COLUMNS, METRICS, SUMMARY_COLUMNS, Floats
+from rail_sumo.records import EPISODE_COLUMNS, METRICS, SUMMARY_COLUMNS, UNDRIVEN, Floats
 
 EXPERT = "expert"
 """The policy that ratios refer to unless another is named."""
@@ -25,8 +25,15 @@ DECIMALS = 6
 
 
 def episodes(rows: Iterable[dict[str, Any]]) -> pd.DataFrame:
-    """Return the `episodes` table, a row per policy and episode, typed as `EPISODE_COLUMNS` says."""
-    return typed(rows, EPISODE_COLUMNS)
+    """Return the `episodes` table, a row per policy and episode, typed as `EPISODE_COLUMNS` says.
+
+    Figures that are missing, of episodes that could not be driven, are empty.
+    """
+    rows = list(rows)
+    columns = dict(EPISODE_COLUMNS)
+    if any(row["end_reason"] in UNDRIVEN for row in rows):
+        columns |= {name: "Int64" for name in METRICS if columns[name] == "int64"}
+    return typed(rows, columns)
 
 
 def summary(episodes: pd.DataFrame, reference: str = EXPERT) -> pd.DataFrame:
@@ -135,10 +142,12 @@ def table(summary: pd.DataFrame, *, width: int = WIDE) -> Table:
     policies, reference = summary["policy"].unique(), summary["reference"].iloc[0]
     by_metric = summary.set_index(["policy", "metric"])
     n = by_metric["episodes"].max()
+    left_out = n - by_metric.xs("speed_kmh", level="metric")["episodes"]
     compared = reference in policies and len(policies) > 1
     episodes = f"means over {n} episodes ± 95 % interval" if n > 1 else "one episode: no interval"
     below = f"; below, ratios to {escape(reference)}" if compared else ""
-    shown = Table(box=SIMPLE_HEAD, caption=episodes + below)
+    fewer = "; ".join(f"{escape(str(name))}: {few} fewer" for name, few in left_out[left_out > 0].items())
+    shown = Table(box=SIMPLE_HEAD, caption=episodes + below + (f" ({fewer})" if fewer else ""))
     shown.add_column("policy", overflow="fold", min_width=14)
     for heading in (*_COMPARED, *told, "contacts"):
         shown.add_column(heading, justify="right", no_wrap=True)

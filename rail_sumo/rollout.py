@@ -9,17 +9,17 @@ from concurrent.futures import ProcessPoolExecutor
 from concurrent.futures.process import BrokenProcessPool
 from contextlib import contextmanager
 from dataclasses import dataclass
-from typing import Any, Literal, Protocol
+from typing import Any, Literal, Protocol, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
 
 from rail_sumo import drivers, metrics
 from rail_sumo.config import Config
-from rail_sumo.errors import InputError
+from rail_sumo.errors import InputError, NotBegun
 from rail_sumo.highway.env import HighwayEnv
 from rail_sumo.policy import PolicyParameters
-from rail_sumo.records import Trajectory
+from rail_sumo.records import EndReason, Floats, Trajectory
 
 # What a traffic seed is for. Children of different purposes never meet, so no learner sees evaluation traffic.
 EVALUATION, TRAINING, DEMONSTRATION, EXPERT_TRAINING = range(4)
@@ -47,9 +47,32 @@ class Task:
     """Further options of SUMO's; see `HighwayEnv`."""
 
 
+@dataclass(frozen=True)
+class Undriven:
+    """An episode that could not begin, or in which SUMO stopped."""
+
+    seed: int
+    """Of its traffic."""
+    end_reason: EndReason
+    why: str
+
+
 def drive(task: Task) -> Trajectory:
-    """Drive one episode in this process."""
+    """Drive one episode in this process.
+
+    Raises:
+        NotBegun: it cannot begin.
+        InputError: SUMO stops.
+    """
     return _drive(task, _driver(task))
+
+
+def attempt(task: Task) -> Trajectory | Undriven:
+    """Drive one episode in this process, or tell why it could not be driven."""
+    try:
+        return drive(task)
+    except InputError as error:
+        return Undriven(task.seed, "not begun" if isinstance(error, NotBegun) else "SUMO stopped", str(error))
 
 
 def drive_advised(task: Task) -> tuple[Trajectory, NDArray[np.int64]]:
@@ -62,12 +85,19 @@ def drive_advised(task: Task) -> tuple[Trajectory, NDArray[np.int64]]:
 def _drive(task: Task, driver: drivers.Driver) -> Trajectory:
     env = HighwayEnv(task.config, hands_off=drivers.hands_off(task.driver), outputs=task.outputs)
     try:
-        observation, _ = env.reset(seed=task.seed)
+        observation = _begin_episode(env, task.seed)
         while not env.is_over:
             observation, _ = env.drive(driver.decide(observation, env))
         return env.trajectory()
     finally:
         env.close()
+
+
+def _begin_episode(env: HighwayEnv, seed: int) -> Floats:
+    try:
+        return env.reset(seed=seed)[0]
+    except InputError as error:
+        raise NotBegun(str(error)) from None
 
 
 def _driver(task: Task) -> drivers.Driver:
@@ -90,23 +120,48 @@ class Observer(Protocol):
     def advance(self, figures: Mapping[str, float]) -> None:
         """One more part is done; the figures tell how it went, by the names of the tables' columns."""
 
+    def note(self, text: str) -> None:
+        """Something happened that the user should know of."""
+
 
 class _Silent:
     def start(self, work: str, total: int, done: int = 0) -> None: ...
 
     def advance(self, figures: Mapping[str, float]) -> None: ...
 
+    def note(self, text: str) -> None: ...
+
 
 SILENT = _Silent()
 
 
 def drive_all(work: str, tasks: list[Task], number: WorkerCount, observer: Observer = SILENT) -> Iterator[Trajectory]:
-    """Yield the tasks' trajectories in their order; see `workers`."""
+    """Yield the tasks' trajectories in their order; see `workers`.
+
+    Raises:
+        InputError: an episode cannot begin, or SUMO stops.
+    """
+    yield from _drive_all(drive, work, tasks, number, observer)
+
+
+def attempt_all(
+    work: str, tasks: list[Task], number: WorkerCount, observer: Observer = SILENT
+) -> Iterator[Trajectory | Undriven]:
+    """Yield the tasks' trajectories in their order, and why there is none; see `workers`."""
+    yield from _drive_all(attempt, work, tasks, number, observer)
+
+
+Driven = TypeVar("Driven", bound=Trajectory | Undriven)
+
+
+def _drive_all(
+    how: Callable[[Task], Driven], work: str, tasks: list[Task], number: WorkerCount, observer: Observer
+) -> Iterator[Driven]:
     observer.start(work, len(tasks))
     with workers(number if number == "ray" else max(1, min(number, len(tasks)))) as pool:
-        for trajectory in pool.map(drive, tasks):
-            observer.advance(metrics.means([trajectory]))
-            yield trajectory
+        for driven in pool.map(how, tasks):
+            observer.advance(metrics.means([driven]) if isinstance(driven, Trajectory) else {})
+            yield driven
 
 
 class Workers(Protocol):

@@ -4,6 +4,7 @@ import itertools
 from collections.abc import Iterable, Mapping
 from contextlib import suppress
 from pathlib import Path
+from typing import Any
 from urllib.parse import quote
 
 import pandas as pd
@@ -25,8 +26,10 @@ from rail_sumo.rollout import (
     SILENT,
     Observer,
     Task,
+    Undriven,
     Who,
     WorkerCount,
+    attempt_all,
     drive_all,
     traffic_seed,
 )
@@ -99,13 +102,17 @@ def evaluate(
             `pandas.read_parquet` reads the folder as one table, to which it adds `policy` and `episode`.
         reference: the policy that the summary's ratios and differences refer to.
 
+    An episode that cannot begin, or in which SUMO stops, is told to the observer; its row has an `end_reason` and no
+    figures, and the summary leaves it out.
+
     Raises:
-        InputError: fewer than one episode, a network or demand that cannot be driven, or floating-car data that cannot
-            be written.
+        InputError: fewer than one episode, a network or demand in which none could be driven, or floating-car data that
+            cannot be written.
     """
     require_drivable(world, episodes)
     if fcd:
         _check_fcd(fcd, workers)
+    network = assets.network_name(world.network.file)
     labels = list(itertools.product(policies, range(episodes)))
     tasks = [
         Task(
@@ -116,11 +123,17 @@ def evaluate(
         )
         for name, episode in labels
     ]
-    driven = drive_all("eval", tasks, workers, observer)
-    rows = [
-        {"policy": name, "episode": episode, **metrics.row(trajectory, world.adas)}
-        for (name, episode), trajectory in zip(labels, driven, strict=True)
-    ]
+    rows, reasons = [], []
+    for (name, episode), driven in zip(labels, attempt_all("eval", tasks, workers, observer), strict=True):
+        if isinstance(driven, Undriven):
+            observer.note(f"{name} did not drive episode {episode}: {driven.why}")
+            reasons.append(driven.why)
+            told: dict[str, Any] = {"seed": driven.seed, "network": network, "end_reason": driven.end_reason}
+        else:
+            told = metrics.row(driven, world.adas)
+        rows.append({"policy": name, "episode": episode, **told})
+    if len(reasons) == len(labels):
+        raise InputError(reasons[0])
     if fcd:
         _require_whole(fcd)
     table = report.episodes(rows)

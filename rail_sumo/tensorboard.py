@@ -51,6 +51,10 @@ class Events:
                 self._write(figures)
         self._observer.advance(figures)
 
+    def note(self, text: str) -> None:
+        """Pass it on."""
+        self._observer.note(text)
+
     def _write(self, figures: Mapping[str, float]) -> None:
         from torch.utils.tensorboard import SummaryWriter
 

@@ -1,12 +1,14 @@
 """The host in the place of one of the demand's cars."""
 
 import libsumo
+import pandas as pd
 import pytest
 from driving import KEEP, always, drive, world
 
-from rail_sumo import assets
+from rail_sumo import assets, run
 from rail_sumo.errors import InputError
-from rail_sumo.highway.names import HOST
+from rail_sumo.highway.host import HOST_TYPE
+from rail_sumo.highway.simulation import Simulation
 
 CARS = 40
 """One every 10 s, every fourth of them a lorry."""
@@ -28,66 +30,52 @@ def on_highway3(traffic, **sections):
     return world(network={"file": "highway3"}, traffic=traffic, **sections)
 
 
-def missing():
-    """The one of the cars that has departed by now and is not on the road."""
-    due = {f"{'lorry' if k % 4 == 3 else 'car'}{k}": 10 * k for k in range(CARS)}
-    now_s = libsumo.simulation.getTime()
-    gone = [name for name, at_s in due.items() if now_s - 300 < at_s < now_s and name not in libsumo.vehicle.getIDList()]
-    (one,) = gone
-    return one
+def begun(make, traffic, seed=0, **sections):
+    env = make(on_highway3(traffic, **sections))
+    env.reset(seed=seed)
+    return env
 
 
-def test_the_host_departs_in_place_of_a_car_where_when_and_as_large_as_it(make, tmp_path):
-    replaced = set()
+def test_the_host_is_a_car_of_the_demand_where_when_and_as_large_as_it_is(make, tmp_path):
+    numbers = set()
     for seed in range(12):
-        env = make(on_highway3(demand(tmp_path)))
-        env.reset(seed=seed)
-        car = missing()
-        number = int(car.removeprefix("car"))  # no lorry
-        assert libsumo.simulation.getTime() == pytest.approx(10 * number + 0.2, abs=0.101)
-        assert libsumo.vehicle.getLaneIndex(HOST) == number % 3
-        assert libsumo.vehicle.getSpeed(HOST) == pytest.approx(20.0, abs=0.5)
-        assert (libsumo.vehicle.getLength(HOST), libsumo.vehicle.getWidth(HOST)) == (4.1, 1.7)
-        assert libsumo.vehicle.getRoute(HOST) == ("highway",)
-        replaced.add(number)
-    assert min(replaced) >= 6  # after the warm-up of 60 s
-    assert len(replaced) > 6
-    assert max(replaced) - min(replaced) > 15  # all over the demand's time
+        host = begun(make, demand(tmp_path), seed).host_name
+        number = int(host.removeprefix("car"))  # no lorry
+        assert libsumo.simulation.getTime() == pytest.approx(10 * number + 0.1, abs=0.101)
+        assert libsumo.vehicle.getLaneIndex(host) == number % 3
+        assert libsumo.vehicle.getSpeed(host) == pytest.approx(20.0, abs=0.5)
+        assert (libsumo.vehicle.getLength(host), libsumo.vehicle.getWidth(host)) == (4.1, 1.7)
+        assert libsumo.vehicle.getRoute(host) == ("highway",)
+        numbers.add(number)
+    assert min(numbers) >= 6  # after the warm-up of 60 s
+    assert len(numbers) > 6
+    assert max(numbers) - min(numbers) > 15  # all over the demand's time
 
 
-def test_every_driver_replaces_the_same_car_of_a_seed(make, tmp_path):
+def test_every_driver_drives_the_same_car_of_a_seed(make, tmp_path):
     cars = []
     for hands_off in (False, True):
         env = make(on_highway3(demand(tmp_path)), hands_off=hands_off)
         env.reset(seed=5)
-        cars.append((missing(), libsumo.simulation.getTime()))
+        cars.append((env.host_name, libsumo.simulation.getTime()))
     assert cars[0] == cars[1]
 
 
-def test_a_vehicle_may_be_named(make, tmp_path):
-    env = make(on_highway3(demand(tmp_path) | {"host": "car2"}))  # which departs within the warm-up
-    env.reset(seed=0)
-    assert (missing(), libsumo.simulation.getTime()) == ("car2", pytest.approx(20.2, abs=0.101))
+@pytest.mark.parametrize(("name", "at_s"), [("car2", 20.1), ("lorry7", 70.1)])
+def test_a_vehicle_may_be_named(make, tmp_path, name, at_s):
+    env = begun(make, demand(tmp_path) | {"host": name})  # one departs within the warm-up, one is a lorry
+    assert (env.host_name, libsumo.simulation.getTime()) == (name, pytest.approx(at_s, abs=0.101))
 
 
-def test_the_others_drive_as_they_would_have_ahead_of_it(make, tmp_path):
-    """Traffic stays the user's to the vehicle: who is ahead does not know who follows."""
+def test_who_drives_ahead_of_it_drives_as_without_it(make, tmp_path):
     env = make(on_highway3(demand(tmp_path) | {"host": "car20"}))
     drive(env, always(KEEP), seed=3)
-    with_host = {name: libsumo.vehicle.getDistance(name) for name in ("car17", "car18", "lorry19")}
-    at_s = libsumo.simulation.getTime()
+    ahead, at_s = ("car17", "car18", "lorry19"), libsumo.simulation.getTime()
+    with_host = [libsumo.vehicle.getDistance(name) for name in ahead]
     env.close()
-    alone = make(on_highway3(demand(tmp_path) | {"host": "car38"}))
-    alone.reset(seed=3)
-    assert libsumo.simulation.getTime() > at_s
-    alone.close()
-    libsumo.start(["sumo", "-n", str(env.stretch.road.net_file), "-r", str(tmp_path / "cars.rou.xml"),
-                   "--step-length", "0.1", "--seed", "3", "--no-step-log", "true"])  # fmt: skip
-    try:
-        libsumo.simulation.step(at_s)
-        assert {name: libsumo.vehicle.getDistance(name) for name in with_host} == pytest.approx(with_host, abs=0.5)
-    finally:
-        libsumo.close()
+    with Simulation(env.stretch.road.net_file, demand=env.demand, seed=3) as alone:
+        alone.run_until(at_s)
+        assert [libsumo.vehicle.getDistance(name) for name in ahead] == pytest.approx(with_host, abs=1e-6)
 
 
 def rows(*routes):
@@ -100,11 +88,32 @@ def test_cars_with_little_to_drive_are_left_out_unless_there_are_no_others(make,
     for seed in range(8):
         env = make(world(network={"file": path}, traffic=long_and_short))
         env.reset(seed=seed)
-        assert libsumo.vehicle.getRoute(HOST) == ("highway",)
+        assert libsumo.vehicle.getRoute(env.host_name) == ("highway",)
     only_short = demand(tmp_path, *rows(*["short"] * 60))
     env = make(world(network={"file": path}, traffic=only_short))
     env.reset(seed=0)
-    assert libsumo.vehicle.getRoute(HOST) == ("short",)
+    assert libsumo.vehicle.getRoute(env.host_name) == ("short",)
+
+
+def test_a_car_is_the_host_though_a_queue_waits_to_enter_behind_it(make, tmp_path):
+    """Where it would not be let in a second time."""
+    flow = '<flow id="f" begin="0" end="500" period="0.5" type="car" departLane="1"><route edges="highway"/></flow>'
+    assert begun(make, demand(tmp_path, flow)).host_name.startswith("f.")
+
+
+def test_floating_car_data_follow_a_host_whose_name_is_not_known_before(tmp_path):
+    run.evaluate(
+        {"keep": "keep"},
+        on_highway3(demand(tmp_path), episode={"duration_s": 5.0}),
+        episodes=2,
+        seed=0,
+        fcd=tmp_path / "fcd",
+    )
+    fcd = pd.read_parquet(tmp_path / "fcd")
+    hosts = fcd[fcd["vehicle_type"] == HOST_TYPE].groupby("episode", observed=True)["vehicle_id"]
+    assert (hosts.nunique() == 1).all()
+    assert hosts.size().min() >= 50
+    assert hosts.first().str.startswith("car").all()
 
 
 def two_roads_file(tmp_path):
@@ -126,13 +135,13 @@ def test_with_a_course_only_cars_that_drive_along_it_are_replaced(make, tmp_path
     for seed in range(4):
         env = make(world(network={"file": path, "course": ["short"]}, traffic=traffic))
         env.reset(seed=seed)
-        assert libsumo.vehicle.getRoute(HOST) == ("short",)
+        assert libsumo.vehicle.getRoute(env.host_name) == ("short",)
 
 
 def test_a_demand_that_ends_within_the_warm_up_is_entered_while_it_departs(make, tmp_path):
     env = make(on_highway3(demand(tmp_path, *rows(*["highway"] * 4))))
     env.reset(seed=0)
-    assert libsumo.simulation.getTime() == pytest.approx(15.2, abs=0.2)
+    assert libsumo.simulation.getTime() == pytest.approx(15.1, abs=0.2)
 
 
 @pytest.mark.parametrize(

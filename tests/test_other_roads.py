@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from driving import ACCELERATE, EMPTY, KEEP, LANE_M, LEFT, MERGE, RIGHT, UNSEEN, always, at_random, drive, world
 
-from rail_sumo import assets
+from rail_sumo import assets, rollout
 from rail_sumo.errors import InputError
 from rail_sumo.highway import trial
 from rail_sumo.highway.env import HighwayEnv
@@ -61,6 +61,24 @@ def test_a_solid_line_is_not_crossed(make, watched, tmp_path):
         changes += [(driven.lane_changes > 0, lanes == {0, 1})]
     assert changes.count((True, True)) > 1
     assert changes.count((False, False)) > 0
+
+
+@pytest.mark.parametrize("driver", ["rule", "expert"])
+def test_on_a_road_driven_on_the_left_it_drives_as_in_the_mirror(tmp_path, driver):
+    text = assets.network("highway3").read_text()
+    right, left = "0.0000,-3.2000 8200.0000,-3.2000", "0.0000,3.2000 8200.0000,3.2000"
+    assert text.count(f'shape="{right}"') == text.count(f'shape="{left}"') == 1
+    text = text.replace(right, "kerb").replace(left, right).replace("kerb", left)
+    path = tmp_path / "left.net.xml"
+    path.write_text(text.replace("<net ", '<net lefthand="true" ', 1))
+    there, here = (
+        rollout.drive(rollout.Task(driver, world(network={"file": file}, episode={"duration_s": 200.0}), UNSEEN))
+        for file in (str(path), "highway3")
+    )
+    assert there.lane_changes > 0
+    np.testing.assert_array_equal(there.speed_mps, here.speed_mps)
+    np.testing.assert_allclose(there.observations, here.observations, atol=1e-9)
+    np.testing.assert_array_equal(there.decisions, here.decisions)
 
 
 def test_who_drives_on_a_road_beside_the_hosts_is_not_overtaken(make, two_roads):

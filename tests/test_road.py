@@ -355,13 +355,15 @@ def test_it_warns_of_ending_lanes_of_short_edges_and_of_narrow_ones(network):
     assert "edge 'b' has a lane of 2.30 m" in narrow
 
 
-def test_a_network_for_driving_on_the_left_is_refused(network, tmp_path):
-    left = tmp_path / "left.net.xml"
-    left.write_text(Path(network(edge("a"))).read_text().replace("<net ", '<net lefthand="true" '))
-    with pytest.raises(
-        InputError, match=r"^network 'left\.net\.xml' is for driving on the left; rail-sumo drives on the"
-    ):
-        road.load(str(left))
+def test_a_road_driven_on_the_left_has_the_borders_of_its_mirror_image(network, tmp_path):
+    left, right = tmp_path / "left.net.xml", Path(network(edge("a", lanes=3)))
+    text = right.read_text()
+    for k in range(3):  # the kerb is on the left
+        text = text.replace(f'shape="0.0,{k * 3.2} 100.0,{k * 3.2}"', f'shape="0.0,{-k * 3.2} 100.0,{-k * 3.2}"')
+    left.write_text(text.replace("<net ", '<net lefthand="true" '))
+    mirrored, plain = road.load(str(left)), road.load(str(right))
+    assert (mirrored.is_left_hand, plain.is_left_hand) == (True, False)
+    assert mirrored.boundaries == pytest.approx(plain.boundaries)
 
 
 @given(

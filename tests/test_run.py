@@ -13,14 +13,14 @@ import pytest
 from safetensors import safe_open
 from safetensors.numpy import load_file, save_file
 
-from rail_sumo import config, drivers, rollout, run, training
-from rail_sumo.errors import InputError
+from rail_sumo import config, drivers, report, rollout, run, training
+from rail_sumo.errors import InputError, NotBegun
 from rail_sumo.highway.reward import total_reward
 from rail_sumo.highway.simulation import HOST
 from rail_sumo.imitation import gail
 from rail_sumo.imitation.demonstrations import Demonstrations
 from rail_sumo.policy import PolicyParameters
-from rail_sumo.records import Trajectory
+from rail_sumo.records import METRICS, Trajectory
 from rail_sumo.run_directory import CHECKPOINT, CLONE, JUDGE, POLICY, PROGRESS, PROGRESS_COLUMNS, RunDirectory
 
 N_FEATURES = 8
@@ -374,16 +374,71 @@ def test_floating_car_data_tell_of_the_very_drives_that_the_tables_tell_of(tmp_p
     assert 50.0 < away_m.max() <= world.lidar.max_range_m
 
 
+class Notes:
+    """An observer that keeps what it is told."""
+
+    def __init__(self):
+        self.told = []
+
+    def start(self, work, total, done=0): ...
+
+    def advance(self, figures): ...
+
+    def note(self, text):
+        self.told.append(text)
+
+
+def test_an_episode_that_cannot_be_driven_keeps_its_row_and_does_not_take_the_others_with_it(small, monkeypatch):
+    def fails_at_times(task):
+        if task.seed == seeds[1]:
+            raise NotBegun("no gap")
+        if (task.driver, task.seed) == ("rule", seeds[2]):
+            raise InputError("SUMO stopped: no way on")
+        return drive(task)
+
+    seeds = [rollout.traffic_seed(0, rollout.EVALUATION, number) for number in range(4)]
+    monkeypatch.setattr(rollout, "drive", fails_at_times)
+    notes = Notes()
+    who = {"rule": "rule", "keep": "keep"}
+    episodes, summary = run.evaluate(who, small, episodes=4, seed=0, observer=notes, reference="keep")
+    assert episodes["end_reason"].tolist() == [
+        *("duration", "not begun", "SUMO stopped", "duration"),
+        *("duration", "not begun", "duration", "duration"),
+    ]
+    assert episodes["seed"].tolist() == 2 * seeds
+    undriven = episodes[episodes["end_reason"] == "not begun"]
+    assert undriven[list(METRICS)].isna().all(axis=None)
+    assert set(undriven["network"]) == {"highway5"}
+    by_policy = summary[summary["metric"] == "overtakes"].set_index("policy")
+    assert by_policy["episodes"].to_dict() == {"rule": 2, "keep": 3}
+    assert by_policy.loc["rule", "difference"] == pytest.approx(0.0)  # over the two that both drove
+    assert notes.told == [
+        "rule did not drive episode 1: no gap",
+        "rule did not drive episode 2: SUMO stopped: no way on",
+        "keep did not drive episode 1: no gap",
+    ]
+    assert str(report.table(summary).caption).endswith("(rule: 1 fewer)")
+
+
+def test_if_none_could_be_driven_it_is_an_error(small, monkeypatch):
+    def fails(task):
+        raise NotBegun("no gap")
+
+    monkeypatch.setattr(rollout, "drive", fails)
+    with pytest.raises(InputError, match=r"^no gap$"):
+        run.evaluate({"rule": "rule", "keep": "keep"}, small, episodes=2, seed=0)
+
+
 def test_floating_car_data_that_were_cut_off_are_refused(tmp_path, monkeypatch):
     """On a full disk SUMO stops writing and tells nobody."""
-    drive_all = run.drive_all
+    attempt_all = run.attempt_all
 
     def cut(work, tasks, *rest):
-        yield from drive_all(work, tasks, *rest)
+        yield from attempt_all(work, tasks, *rest)
         part = Path(tasks[1].outputs[1])
         part.write_bytes(part.read_bytes()[:-100])
 
-    monkeypatch.setattr(run, "drive_all", cut)
+    monkeypatch.setattr(run, "attempt_all", cut)
     world = config.load(None, ["episode.duration_s=2.0"])
     with pytest.raises(InputError, match=r"could not write .* whole \('.*episode=1/part\.parquet'\); is the disk full"):
         run.evaluate({"rule": "rule"}, world, episodes=2, seed=0, fcd=tmp_path / "fcd")

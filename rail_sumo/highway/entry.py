@@ -9,7 +9,7 @@ from rail_sumo.config import Config
 from rail_sumo.errors import InputError
 from rail_sumo.highway.network import road
 from rail_sumo.highway.network.demand import Demand
-from rail_sumo.highway.simulation import Car, Simulation
+from rail_sumo.highway.simulation import Inserted, Simulation
 from rail_sumo.highway.stretch import Stretch
 from rail_sumo.records import SECONDS_PER_STEP
 
@@ -19,8 +19,8 @@ CHOOSY_S = 60.0
 """After so long a car will do whose route is too short, if none before it had a longer one."""
 
 
-def replace(simulation: Simulation, config: Config, demand: Demand, rng: np.random.Generator) -> Stretch:
-    """Let the demand drive until a car departs that the host can replace, and put the host in its place.
+def take_over(simulation: Simulation, config: Config, demand: Demand, rng: np.random.Generator) -> Stretch:
+    """Let the demand drive until a car departs that the host can replace, and make it the host.
 
     It is the first after a moment drawn evenly from `traffic.entry_within_s` after the warm-up, or the vehicle that
     `traffic.host` names.
@@ -44,8 +44,8 @@ def replace(simulation: Simulation, config: Config, demand: Demand, rng: np.rand
     longest_m = 0.0
     for steps in itertools.count(1):
         simulation.run_without_host(SECONDS_PER_STEP)
-        for car in simulation.departed_cars():
-            if by_name and car.name != traffic.host:
+        for car in simulation.departed():
+            if car.name != traffic.host if by_name else not car.is_car:
                 continue
             stretch = _stretch(car, config)
             if stretch is None:
@@ -53,15 +53,15 @@ def replace(simulation: Simulation, config: Config, demand: Demand, rng: np.rand
             long_enough_m = traffic.shortest_route_m if steps * SECONDS_PER_STEP < CHOOSY_S else longest_m
             longest_m = max(longest_m, stretch.drivable_m)
             if by_name or stretch.drivable_m >= long_enough_m:
-                simulation.lay_course(stretch.road, config.adas, sees_m=stretch.sees_m)
-                simulation.replace(car, stretch.road.laps(0, stretch.start_m + stretch.farthest_m))
+                simulation.lay_course(stretch.road, config.adas, sees_m=stretch.sees_m, host=car.name)
+                simulation.take_over(car)
                 return stretch
         if simulation.now_s > until_s or not simulation.expects_vehicles:
             break
     raise InputError(_nobody(config, simulation.now_s, first_s, last_s))
 
 
-def _stretch(car: Car, config: Config) -> Stretch | None:
+def _stretch(car: Inserted, config: Config) -> Stretch | None:
     """Return the stretch along a car's route, as far as it comes over no edge again; None if none could be driven."""
     edges = car.edges[: next((k for k, edge in enumerate(car.edges) if edge in car.edges[:k]), len(car.edges))]
     wanted = config.network.course

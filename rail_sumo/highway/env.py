@@ -96,13 +96,23 @@ class HighwayEnv(gymnasium.Env[Floats, np.int64]):
         self._limits_mps: list[float] = []
         self._end = None
         try:
-            self._open(np.random.default_rng(self._seed))
+            self._open(np.random.default_rng(self._seed), self._outputs_of_host())
         except BaseException:
             self.close()  # or no other environment could begin in this process
             raise
         return self._look(0), {}
 
-    def _open(self, rng: np.random.Generator) -> None:
+    def _outputs_of_host(self) -> Sequence[str]:
+        """Return SUMO's options for outputs, which name the host: of a car yet to be drawn it is drawn once before."""
+        if not self._outputs or not self._replaces:
+            return self._outputs
+        self._open(np.random.default_rng(self._seed), ())
+        assert self._simulation is not None
+        name = self._simulation.host.name
+        self.close()
+        return [name if word == HOST else word for word in self._outputs]
+
+    def _open(self, rng: np.random.Generator, outputs: Sequence[str]) -> None:
         """Put the host and its traffic on the road."""
         traffic, adas = self.config.traffic, self.config.adas
         simulation = self._simulation = Simulation(
@@ -110,14 +120,14 @@ class HighwayEnv(gymnasium.Env[Floats, np.int64]):
             demand=self.demand,
             begin_s=traffic.begin_s,
             seed=self._seed,
-            outputs=self._outputs,
+            outputs=outputs,
         )
         self._window: MovingWindow | None = None
         if self._replaces:
-            self.stretch = entry.replace(simulation, self.config, self.demand, rng)
+            self.stretch = entry.take_over(simulation, self.config, self.demand, rng)
         else:
             self._add_host(simulation, rng)
-        simulation.wait_for_host()
+            simulation.wait_for_host()
         stretch = self.stretch
         self._lidar = _lidar(self.config.lidar, stretch.road)
         self._passes = PassCounter(stretch.near_m)
@@ -251,7 +261,7 @@ class HighwayEnv(gymnasium.Env[Floats, np.int64]):
         assert self._simulation is not None
         if self._simulation.host.contact:
             return "collision"
-        travelled_m = self._simulation.travelled_m(HOST)
+        travelled_m = self._simulation.travelled_m(self._simulation.host.name)
         if travelled_m >= self.config.episode.course_m:
             return "course"
         if len(self._lane_changing) >= self._duration_steps:
@@ -261,6 +271,11 @@ class HighwayEnv(gymnasium.Env[Floats, np.int64]):
         speeds = self._simulation.host.speeds_mps
         crawls = speeds[-1] < CRAWL_MPS and len(speeds) >= STANDSTILL_STEPS
         return "standstill" if crawls and max(speeds[-STANDSTILL_STEPS:]) < CRAWL_MPS else None
+
+    @property
+    def host_name(self) -> str:
+        """The id of the host's vehicle in SUMO."""
+        return self._simulation.host.name if self._simulation else HOST
 
     @property
     def scene(self) -> Scene:
@@ -276,7 +291,7 @@ class HighwayEnv(gymnasium.Env[Floats, np.int64]):
     def is_alone(self) -> bool:
         """Whether nobody else on the road drives along the host's course, now or later on its way."""
         simulation = self._under_way()
-        return not any(map(simulation.heads_for_course, simulation.on_road() - {HOST}))
+        return not any(map(simulation.heads_for_course, simulation.on_road() - {simulation.host.name}))
 
     @property
     def is_changing_lane(self) -> bool:
@@ -309,7 +324,7 @@ class HighwayEnv(gymnasium.Env[Floats, np.int64]):
             carried_out=np.array(self._carried_out, dtype=np.int64),
             allowed=np.array(self._allowed, dtype=np.bool_),
             speed_mps=np.array(self._simulation.host.speeds_mps),
-            distance_m=self._simulation.travelled_m(HOST),
+            distance_m=self._simulation.travelled_m(self._simulation.host.name),
             limit_mps=np.array(self._limits_mps),
             lane_changing=np.array(self._lane_changing, dtype=np.bool_),
             overtakes=self._overtakes,

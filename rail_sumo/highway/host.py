@@ -64,9 +64,11 @@ class Host:
     Args:
         road: its course.
         adas: limits of its car-following (ACC and AEB).
+        name: the id of its vehicle.
     """
 
-    def __init__(self, road: Road, adas: config.Adas) -> None:
+    def __init__(self, road: Road, adas: config.Adas, name: str = HOST) -> None:
+        self.name = name
         self._adas = adas
         self.fastest_mps = adas.highest_mps(road.highest_limit_mps)
         self._edges = road.edge_of
@@ -117,18 +119,18 @@ class Host:
 
     def take_over(self, speed_mps: float) -> None:
         """Put the host under ADAS control as soon as it is inserted, holding `speed_mps` at first."""
-        libsumo.vehicle.setSpeedFactor(HOST, UNLIMITED)  # the ADAS layer brakes for limits, in time
-        libsumo.vehicle.setLaneChangeMode(HOST, COMMANDED_ONLY)
-        libsumo.vehicle.setSpeed(HOST, speed_mps)
+        libsumo.vehicle.setSpeedFactor(self.name, UNLIMITED)  # the ADAS layer brakes for limits, in time
+        libsumo.vehicle.setLaneChangeMode(self.name, COMMANDED_ONLY)
+        libsumo.vehicle.setSpeed(self.name, speed_mps)
         self._set_mps = self._told_mps = speed_mps
 
     def hold_below(self, speed_mps: float) -> None:
         """Let the host drive no faster than this, whatever is commanded."""
-        libsumo.vehicle.setMaxSpeed(HOST, speed_mps)
+        libsumo.vehicle.setMaxSpeed(self.name, speed_mps)
 
     def begin(self) -> None:
         """Note the speed at which the host has entered, and who is ahead."""
-        self.speeds_mps.append(libsumo.vehicle.getSpeed(HOST))
+        self.speeds_mps.append(libsumo.vehicle.getSpeed(self.name))
         self._leader = self._look_ahead()
 
     def hand_over(self, kind: str | None = None) -> None:
@@ -145,19 +147,19 @@ class Host:
         vehicle, types = libsumo.vehicle, libsumo.vehicletype
         self._sumo_drives = True
         if kind is None:
-            vehicle.setTau(HOST, self._adas.time_gap_s)  # as a vehicle of SUMO's, it has no other time gap
+            vehicle.setTau(self.name, self._adas.time_gap_s)  # as a vehicle of SUMO's, it has no other time gap
         else:
             known = [name for name in types.getIDList() if not name.startswith((OURS, SUMO_TYPE_PREFIX))]
             if not known:
                 raise InputError(f"driver 'sumo:{kind}' is a vehicle of your demand's; name its files with --routes")
             if kind not in known:
                 raise InputError(f"vehicle type '{kind}' of driver 'sumo:{kind}' not found{did_you_mean(kind, known)}")
-            vehicle.setType(HOST, kind)
-            kind = vehicle.getTypeID(HOST)  # the one drawn from a distribution
-            vehicle.setSpeedFactor(HOST, types.getSpeedFactor(kind))
-            vehicle.setMaxSpeed(HOST, types.getMaxSpeed(kind))
-            vehicle.setSpeedMode(HOST, SUMO_SPEED_MODE)
-        vehicle.setLaneChangeMode(HOST, SUMO_CHANGES_LANES)
+            vehicle.setType(self.name, kind)
+            kind = vehicle.getTypeID(self.name)  # the one drawn from a distribution
+            vehicle.setSpeedFactor(self.name, types.getSpeedFactor(kind))
+            vehicle.setMaxSpeed(self.name, types.getMaxSpeed(kind))
+            vehicle.setSpeedMode(self.name, SUMO_SPEED_MODE)
+        vehicle.setLaneChangeMode(self.name, SUMO_CHANGES_LANES)
 
     # What it can know.
 
@@ -167,7 +169,7 @@ class Host:
         `limit_mps` is the present limit of the host's lane; `limits_ahead` come from the network and right of way.
         """
         vehicle, speed_mps = libsumo.vehicle, self.speeds_mps[-1]
-        lane_id = vehicle.getLaneID(HOST)
+        lane_id = vehicle.getLaneID(self.name)
         edge_id, _, index = lane_id.rpartition("_")
         edge, lane, limit_mps = self._edges.get(edge_id), int(index), libsumo.lane.getMaxSpeed(lane_id)
         careful, stops = self._places(speed_mps)
@@ -176,7 +178,7 @@ class Host:
             return HostState(
                 speed_mps, lane, lane, lane, 0.0, 0.0, 0.0, 0.0, (math.inf,), limit_mps, ahead, tuple(stops)
             )
-        here, to_edge_end_m = lane - lanes[0], edge.length_m - vehicle.getLanePosition(HOST)
+        here, to_edge_end_m = lane - lanes[0], edge.length_m - vehicle.getLanePosition(self.name)
         limits_ahead = edge.limits_ahead
         if careful:
             limits_ahead += tuple((metres - to_edge_end_m, slow) for metres, slow in careful)
@@ -197,7 +199,7 @@ class Host:
 
     def _limits_beyond_this_lane(self) -> tuple[tuple[float, float], ...]:
         """Return the limits of the edge that comes next, and beyond it, with the metres from here to each."""
-        ahead, to_it_m = self._next_edge(), _to_lane_end_m()
+        ahead, to_it_m = self._next_edge(), _to_lane_end_m(self.name)
         if ahead is None:
             return ()
         beyond = ((to_it_m + ahead.length_m + metres, limit) for metres, limit in ahead.limits_ahead)
@@ -205,7 +207,7 @@ class Host:
 
     def _next_edge(self) -> Edge | None:
         """Return the edge of the course after the one that it is on, or was on before the junction."""
-        way = way_of(HOST)
+        way = way_of(self.name)
         return self._edges.get(way[1]) if len(way) > 1 else None
 
     def _signals(self) -> list[Signal]:
@@ -213,19 +215,19 @@ class Host:
         if not self._has_signals:
             return []
         now, next_switch = libsumo.simulation.getTime(), libsumo.trafficlight.getNextSwitch
-        ahead = libsumo.vehicle.getNextTLS(HOST)
+        ahead = libsumo.vehicle.getNextTLS(self.name)
         return [Signal(m, state, next_switch(name) - now) for name, _, m, state in ahead if m < self._heeds_m]
 
     def _give_ways(self) -> list[GiveWay]:
         """Return the ways without priority that the host may have to brake for by now, the nearest first."""
         if not self._meets_others:
             return []
-        ahead_m = _to_lane_end_m()
-        on_junction = libsumo.vehicle.getLaneID(HOST).startswith(":")
+        ahead_m = _to_lane_end_m(self.name)
+        on_junction = libsumo.vehicle.getLaneID(self.name).startswith(":")
         if on_junction and (edge_after := self._next_edge()):  # SUMO's list begins beyond it
             ahead_m += edge_after.length_m
         found, entered = [], ""
-        for lane, has_priority, is_open, _, via, state, _, inside_m in libsumo.vehicle.getNextLinks(HOST):
+        for lane, has_priority, is_open, _, via, state, _, inside_m in libsumo.vehicle.getNextLinks(self.name):
             if ahead_m > self._heeds_m:
                 break
             edge = libsumo.lane.getEdgeID(lane)
@@ -249,11 +251,14 @@ class Host:
     def gaps(self, side: int) -> Gaps:
         """Return the gaps in the host's own lane (0) or the one to its left (+1) or right (-1)."""
         if side == 0:
-            leader, follower = libsumo.vehicle.getLeader(HOST, self._sight_m), libsumo.vehicle.getFollower(HOST)
+            leader, follower = (
+                libsumo.vehicle.getLeader(self.name, self._sight_m),
+                libsumo.vehicle.getFollower(self.name),
+            )
             ahead, behind = ([pair] if pair and pair[0] else [] for pair in (leader, follower))
         else:
             modes = (AHEAD_LEFT, BEHIND_LEFT) if side > 0 else (AHEAD_RIGHT, BEHIND_RIGHT)
-            ahead, behind = (libsumo.vehicle.getNeighbors(HOST, mode) for mode in modes)
+            ahead, behind = (libsumo.vehicle.getNeighbors(self.name, mode) for mode in modes)
         ahead_m, ahead_speed = self._nearest(ahead, self._adas.standstill_gap_m)
         behind_m, behind_speed = self._nearest(behind, None)
         return Gaps(ahead_m, ahead_speed, behind_m, behind_speed)
@@ -276,12 +281,12 @@ class Host:
             self._heed_signals()
         self._set_mps = command.speed_mps
         if command.cross:
-            vehicle.changeLane(HOST, vehicle.getLaneIndex(HOST) + command.cross, 0.0)
-            followers = vehicle.getNeighbors(HOST, BEHIND_LEFT if command.cross > 0 else BEHIND_RIGHT)
+            vehicle.changeLane(self.name, vehicle.getLaneIndex(self.name) + command.cross, 0.0)
+            followers = vehicle.getNeighbors(self.name, BEHIND_LEFT if command.cross > 0 else BEHIND_RIGHT)
             if followers:
                 self._watch(min(followers, key=lambda follower: follower[1])[0])
         if command.lateral_m != self._lateral_m:
-            vehicle.setLateralLanePosition(HOST, command.lateral_m)
+            vehicle.setLateralLanePosition(self.name, command.lateral_m)
             self._lateral_m = command.lateral_m
 
     def _heed_signals(self) -> None:
@@ -289,7 +294,7 @@ class Host:
         signals, hardest, speed_mps = self._signals(), self._adas.emergency_braking_mps2, self.speeds_mps[-1]
         drives_on = any(not one.is_green and not one.stops(speed_mps, braking_mps2=hardest) for one in signals[:1])
         if drives_on != self._drives_on:
-            libsumo.vehicle.setSpeedMode(HOST, IGNORE_SIGNALS if drives_on else SUMO_SPEED_MODE)
+            libsumo.vehicle.setSpeedMode(self.name, IGNORE_SIGNALS if drives_on else SUMO_SPEED_MODE)
             self._drives_on = drives_on
         self._shown = self._shows(signals)
         self._is_unsure = drives_on or any(signal.is_yellow for signal in signals)
@@ -313,12 +318,12 @@ class Host:
         if leader is not None and not self._sumo_drives:
             speed_mps = min(speed_mps, acc.following_mps(self.speeds_mps[-1], leader, self._adas))
         if speed_mps != self._told_mps:
-            libsumo.vehicle.setSpeed(HOST, speed_mps)
+            libsumo.vehicle.setSpeed(self.name, speed_mps)
             self._told_mps = speed_mps
 
     def note(self) -> None:
         """Record the host's speed, its leader and its contacts after a step."""
-        speed_mps = libsumo.vehicle.getSpeed(HOST)
+        speed_mps = libsumo.vehicle.getSpeed(self.name)
         self.speeds_mps.append(speed_mps)
         leader = self._leader = self._look_ahead()
         if leader is not None:
@@ -335,7 +340,7 @@ class Host:
     def _look_ahead(self) -> Leader | None:
         """Return who is ahead, with how that vehicle has sped up or braked over the last half second."""
         vehicle = libsumo.vehicle
-        ahead = vehicle.getLeader(HOST, self._sight_m)
+        ahead = vehicle.getLeader(self.name, self._sight_m)
         if not ahead or not ahead[0]:
             self._leader_name = ""
             return None
@@ -352,8 +357,8 @@ class Host:
 
     def _note_contacts(self) -> None:
         for collision in libsumo.simulation.getCollisions():  # contacts among the others are not counted
-            self.collisions += collision.collider == HOST
-            self.struck += collision.victim == HOST
+            self.collisions += collision.collider == self.name
+            self.struck += collision.victim == self.name
         self.contact = bool(self.collisions or self.struck)
 
     def _watch(self, name: str) -> None:
@@ -374,8 +379,8 @@ class Host:
 
     def _note_lane(self) -> None:
         """Notice when SUMO's own driver has changed lanes."""
-        lane_id = libsumo.vehicle.getLaneID(HOST)
-        follower = libsumo.vehicle.getFollower(HOST)
+        lane_id = libsumo.vehicle.getLaneID(self.name)
+        follower = libsumo.vehicle.getFollower(self.name)
         same_edge = lane_id.rpartition("_")[0] == self._lane_id.rpartition("_")[0]
         if same_edge and lane_id != self._lane_id and follower and follower[0]:
             self._watch(follower[0])
@@ -387,8 +392,8 @@ class Host:
         return sum(hard_brakings(one.speeds_mps) for one in self._behind)
 
 
-def _to_lane_end_m() -> float:
-    return libsumo.lane.getLength(libsumo.vehicle.getLaneID(HOST)) - libsumo.vehicle.getLanePosition(HOST)
+def _to_lane_end_m(name: str) -> float:
+    return libsumo.lane.getLength(libsumo.vehicle.getLaneID(name)) - libsumo.vehicle.getLanePosition(name)
 
 
 def way_of(name: str) -> Sequence[str]:

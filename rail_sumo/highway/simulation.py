@@ -14,7 +14,6 @@ from rail_sumo.errors import InputError
 from rail_sumo.highway import placing, sumo_process
 from rail_sumo.highway.host import HOST_TYPE, Host, way_of
 from rail_sumo.highway.names import HOST, OURS
-from rail_sumo.highway.network.course import CAR
 from rail_sumo.highway.network.demand import Demand
 from rail_sumo.highway.network.road import Road
 from rail_sumo.records import SECONDS_PER_STEP, Command, Scene
@@ -56,15 +55,18 @@ WAIT_S, GAP_WAIT_S = 120.0, 30.0
 """How long to wait for the host to enter, and of that for a gap that lets it do so at its starting speed."""
 NEAR_ENTRY_M = 100.0
 """The host enters as fast as the vehicles drive that are within this distance of its entry."""
+CARS = frozenset({"passenger", "private", "taxi", "evehicle", "hov", "vip", "custom1", "custom2", "ignoring"})
+"""SUMO's vehicle classes of what drives as a car does."""
 STOREY_M = 3.0
 """Vehicles farther above or below drive on another road, as on a bridge."""
 
 
 @dataclass(frozen=True, slots=True)
-class Car:
-    """A car of the demand, where SUMO has inserted it."""
+class Inserted:
+    """A vehicle of the demand, where SUMO has inserted it."""
 
     name: str
+    is_car: bool
     edges: tuple[str, ...]
     """Of its route."""
     lane: int
@@ -148,16 +150,18 @@ class Simulation:
                 for report in folder.glob(f"{self._prefix}*"):
                     report.unlink(missing_ok=True)
 
-    def lay_course(self, road: Road, adas: config.Adas, *, sees_m: float) -> None:
+    def lay_course(self, road: Road, adas: config.Adas, *, sees_m: float, host: str = HOST) -> None:
         """Tell where the host will drive.
 
         Args:
             road: its course.
             adas: limits of its car-following (ACC and AEB).
             sees_m: how far from it, along either axis, a `Scene` shows vehicles.
+            host: the id of its vehicle.
         """
-        self.host = Host(road, adas)
+        self.host = Host(road, adas, host)
         self._edges = road.edge_of
+        self._is_left_hand = road.is_left_hand
         self._context_m = sees_m
 
     # Vehicles come and go.
@@ -195,12 +199,13 @@ class Simulation:
         self._start = (edges, lane, front_m)
         self._enter(f"{min(speed_mps if there_mps is None else there_mps, ceiling_mps):.3f}")
 
-    def departed_cars(self) -> list["Car"]:
-        """Return the cars that have been inserted in the last step."""
+    def departed(self) -> list["Inserted"]:
+        """Return the demand's vehicles that have been inserted in the last step, at the beginning of their route."""
         get = libsumo.vehicle
         return [
-            Car(
+            Inserted(
                 name,
+                get.getVehicleClass(name) in CARS,
                 tuple(get.getRoute(name)),
                 lane=get.getLaneIndex(name),
                 front_m=get.getLanePosition(name),
@@ -209,20 +214,20 @@ class Simulation:
                 width_m=get.getWidth(name),
             )
             for name in libsumo.simulation.getDepartedIDList()
-            if get.getVehicleClass(name) == CAR and get.getRoadID(name) == get.getRoute(name)[0]
+            if get.getRoadID(name) == get.getRoute(name)[0]
         ]
 
-    def replace(self, car: "Car", edges: Sequence[str]) -> None:
-        """Put the host in the place of a car that has just been inserted, as large as it, to drive along some edges."""
-        libsumo.vehicle.remove(car.name)
-        libsumo.vehicletype.setLength(HOST_TYPE, car.length_m)
-        libsumo.vehicletype.setWidth(HOST_TYPE, car.width_m)
-        self._ceiling_mps = min(libsumo.lane.getMaxSpeed(f"{edges[0]}_{car.lane}"), self.host.fastest_mps)
-        self._start = (edges, car.lane, car.front_m)
-        self._enter(f"{min(car.speed_mps, self._ceiling_mps):.3f}")
+    def take_over(self, car: "Inserted") -> None:
+        """Make a vehicle of the demand that has just been inserted the host: as large as it is, and on its route."""
+        types = libsumo.vehicletype
+        types.setLength(HOST_TYPE, car.length_m)
+        types.setWidth(HOST_TYPE, car.width_m)
+        libsumo.vehicle.setType(car.name, HOST_TYPE)
+        self.host.take_over(min(libsumo.lane.getMaxSpeed(f"{car.edges[0]}_{car.lane}"), self.host.fastest_mps))
+        self.host.begin()
 
     def _enter(self, speed: str) -> None:
-        self._add(HOST, HOST_TYPE, *self._start, speed)
+        self._add(self.host.name, HOST_TYPE, *self._start, speed)
         self.host.take_over(self._ceiling_mps)
 
     def _add(self, name: str, kind: str, edges: Sequence[str], lane: int, front_m: float, speed: str) -> None:
@@ -298,13 +303,13 @@ class Simulation:
         slower = False
         for number in range(round(WAIT_S / SECONDS_PER_STEP)):
             if number == round(GAP_WAIT_S / SECONDS_PER_STEP) and not slower:
-                libsumo.vehicle.remove(HOST)
-            if number and HOST not in libsumo.simulation.getPendingVehicles():
+                libsumo.vehicle.remove(self.host.name)
+            if number and self.host.name not in libsumo.simulation.getPendingVehicles():
                 slower = True
                 self._enter("max")
                 self.host.hold_below(self._ceiling_mps)
             libsumo.simulation.step()
-            if HOST in libsumo.simulation.getDepartedIDList():
+            if self.host.name in libsumo.simulation.getDepartedIDList():
                 break
         else:
             edges, lane, front_m = self._start
@@ -321,22 +326,35 @@ class Simulation:
     def scene(self) -> Scene:
         """Return the host and every vehicle within the context's reach, east or west, north or south.
 
-        Vehicles on a bridge above or below are left out.
+        Vehicles on a bridge above or below are left out. On a road that is driven on the left it is told in the mirror;
+        see `Road.is_left_hand`.
         """
         # Getters, not a context subscription: a standing one costs half a step more on every step, and one made for a
         # single look costs more than all the getters together.
         position, angle, speed = libsumo.vehicle.getPosition3D, libsumo.vehicle.getAngle, libsumo.vehicle.getSpeed
         sizes, reach = self._sizes, self._context_m
-        host_x, host_y, host_z = position(HOST)
-        names, rows = [HOST], [host_x, host_y, angle(HOST), speed(HOST), *(sizes.get(HOST) or self._size(HOST))]
+        host_x, host_y, host_z = position(self.host.name)
+        names, rows = (
+            [self.host.name],
+            [
+                host_x,
+                host_y,
+                angle(self.host.name),
+                speed(self.host.name),
+                *(sizes.get(self.host.name) or self._size(self.host.name)),
+            ],
+        )
         for name in libsumo.vehicle.getIDList():
             x, y, z = position(name)
-            if -reach < x - host_x < reach and -reach < y - host_y < reach and name != HOST:
+            if -reach < x - host_x < reach and -reach < y - host_y < reach and name != self.host.name:
                 if abs(z - host_z) >= STOREY_M:
                     continue
                 names.append(name)
                 rows += (x, y, angle(name), speed(name), *(sizes.get(name) or self._size(name)))
         vehicles = np.fromiter(rows, np.float64).reshape(len(names), -1)
+        if self._is_left_hand:  # told in the mirror
+            vehicles[:, 1] *= -1.0
+            vehicles[:, 2] = 180.0 - vehicles[:, 2]
         return Scene(libsumo.simulation.getTime(), names, placing.boxes(vehicles))
 
     def _size(self, name: str) -> tuple[float, float]:
@@ -403,7 +421,7 @@ class Simulation:
 def floating_car_data(file: Path, *, reach_m: float) -> tuple[str, ...]:
     """Return the options that have SUMO write, on every step, where the host is and who is within reach of it.
 
-    Parquet, CSV or XML, by the file's suffix.
+    Parquet, CSV or XML, by the file's suffix. `HOST` in them stands for whatever the host's id is.
     """
     columns = "x,y,angle,type,speed,acceleration,lane,pos,odometer"
     return (

@@ -30,7 +30,7 @@ def as_input_errors(function: Callable[Given, Returned]) -> Callable[Given, Retu
         try:
             return function(*args, **kwargs)
         except SUMO_ERRORS as error:
-            if f"'{HOST}'" in str(error):
+            if f"'{getattr(args[0], 'host_name', HOST)}'" in str(error):
                 raise InputError(
                     "the host was taken off the road; keep rerouters, vaporizers and the like on its course out of "
                     f"traffic.additional (SUMO: {error})"

@@ -6,7 +6,7 @@ import numpy as np
 
 from rail_sumo import config
 from rail_sumo.highway.network.road import Road
-from rail_sumo.highway.simulation import HOST, Simulation
+from rail_sumo.highway.simulation import Simulation
 from rail_sumo.records import KMH
 
 START_GAP_M = 30.0
@@ -80,7 +80,7 @@ class MovingWindow:
         tries = min(1.0, self._since_update_s / self._config.lane_change_every_s)
         self._since_update_s = 0.0
         odometers_m = self._simulation.odometers_m()
-        host_m = self._host_start_m + odometers_m[HOST]
+        host_m = self._host_start_m + odometers_m[self._simulation.host.name]
         ahead_m: dict[str, float] = {}
         for name, start_m in self._start_m.items():
             if name not in odometers_m:

@@ -7,6 +7,8 @@ from typing import Any
 
 from rail_sumo.errors import InputError, did_you_mean
 
+TURNS_BACK = ("t", "T")
+"""Directions of connections that lead back, on roads driven on the right and on the left."""
 CAR = "passenger"
 """The vehicle class that must be allowed on the course."""
 
@@ -114,7 +116,7 @@ def longest(net: Any, name: str) -> tuple[list[Any], bool]:
 def _next(edge: Any, drivable: set[Any]) -> Any | None:
     choices = []
     for ahead in edge.getOutgoing():
-        joint = [c for c in connections(edge, ahead) if c.getDirection() != c.LINKDIR_TURN] if ahead in drivable else []
+        joint = [c for c in connections(edge, ahead) if c.getDirection() not in TURNS_BACK] if ahead in drivable else []
         if joint:
             is_straight = any(c.getDirection() == c.LINKDIR_STRAIGHT for c in joint)
             choices.append((not is_straight, -len({c.getFromLane() for c in joint}), ahead.getID(), ahead))

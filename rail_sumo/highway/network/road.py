@@ -90,6 +90,9 @@ class Road:
     """Whether it leads through a junction without priority."""
     sight_m: Mapping[str, float]
     """How far before a junction drivers see who comes, where that is told, by the lane that they enter it on."""
+    is_left_hand: bool
+    """Whether it is driven on the left. Then all is told in the mirror, as if it were driven on the right: SUMO numbers
+    lanes from the kerb on either kind of road, and to it the next lane from there is always the left one."""
     boundaries: Floats
     """(n_segments, 4): x1, y1, x2, y2 of the course's outer borders, in metres, read-only."""
 
@@ -180,16 +183,18 @@ def warnings(road: Road) -> Iterator[str]:
 
 @lru_cache(maxsize=32)
 def _load(path: Path, wanted: tuple[str, ...], state: tuple[int, int]) -> Road:
-    net, sight_m = _read(path, state)
+    net, sight_m, is_left_hand = _read(path, state)
     edges, is_loop = course.along(net, path.name, wanted) if wanted else course.longest(net, path.name)
     joints = [connections(here, ahead) for here, ahead in itertools.pairwise(edges)]
     joints.append(connections(edges[-1], edges[0]) if is_loop else [])
     junctions_m = tuple(_through_m(net, joint) for joint in joints)
-    boundaries = np.concatenate([_border(net, edges, joints, is_loop, side) for side in ("right", "left")])
+    boundaries = np.concatenate(
+        [_border(net, edges, joints, is_loop, side, mirrored=is_left_hand) for side in ("right", "left")]
+    )
     boundaries.setflags(write=False)
     return Road(
         net_file=path,
-        name=path.name.removesuffix(".gz").removesuffix(assets.NETWORK_SUFFIX),
+        name=assets.network_name(path.name),
         edges=tuple(
             map(_edge, edges, _leads_on_m(edges, joints, is_loop), _limits_ahead(net, edges, joints, junctions_m))
         ),
@@ -197,6 +202,7 @@ def _load(path: Path, wanted: tuple[str, ...], state: tuple[int, int]) -> Road:
         is_loop=is_loop,
         gives_way=not all(c.getState().isupper() for joint in joints for c in joint),  # a small letter or =
         sight_m=sight_m,
+        is_left_hand=is_left_hand,
         boundaries=boundaries,
     )
 
@@ -220,7 +226,7 @@ class _Reader(sumolib.net.NetReader):
 
 
 @lru_cache(maxsize=1)  # the host may take another course in every episode
-def _read(path: Path, state: tuple[int, int]) -> tuple[Any, dict[str, float]]:
+def _read(path: Path, state: tuple[int, int]) -> tuple[Any, dict[str, float], bool]:
     # Not sumolib.net.readNet: it picks another parser when lxml is installed and leaves files open after an error.
     reader = _Reader()
     try:
@@ -230,14 +236,12 @@ def _read(path: Path, state: tuple[int, int]) -> tuple[Any, dict[str, float]]:
         raise InputError(f"network '{path.name}' is not a complete XML file: {_reason(error)}") from None
     except Exception as error:  # whatever sumolib stumbles over in a file that is XML but not a network
         raise InputError(f"network '{path.name}' is not a SUMO network: {error!r}") from None
-    if reader.is_left_hand:
-        raise InputError(f"network '{path.name}' is for driving on the left; rail-sumo drives on the right")
     net = reader.getNet()
     if not net.getEdges(withInternal=False):
         raise InputError(
             f"network '{path.name}' has no edges; rail-sumo reads SUMO's .net.xml, and by --network a .sumocfg"
         )
-    return net, reader.sight_m
+    return net, reader.sight_m, reader.is_left_hand
 
 
 def _reason(error: Exception) -> str:
@@ -316,7 +320,7 @@ def _through_m(net: Any, joint: list[Any]) -> float:
     return fmean(ways) if ways else 0.0
 
 
-def _border(net: Any, edges: list[Any], joints: list[list[Any]], is_loop: bool, side: str) -> Floats:
+def _border(net: Any, edges: list[Any], joints: list[list[Any]], is_loop: bool, side: str, *, mirrored: bool) -> Floats:
     outermost = 0 if side == "right" else -1
     sign = -1.0 if side == "right" else 1.0
     points: list[Floats] = []
@@ -324,6 +328,8 @@ def _border(net: Any, edges: list[Any], joints: list[list[Any]], is_loop: bool, 
         inside = _inside(net, joint[outermost]) if joint else ()
         for lane in (car_lanes(edge)[outermost], *inside):
             shape = np.array(lane.getShape(), dtype=np.float64)
+            if mirrored:
+                shape[:, 1] *= -1.0
             points.extend(offset(shape, sign * lane.getWidth() / 2))
     line = _distinct(np.array(points))
     if is_loop:
