@@ -16,6 +16,7 @@ from rail_sumo.config import Config, dumps
 from rail_sumo.errors import InputError, ObservationError, did_you_mean
 from rail_sumo.files import check_file, check_folder
 from rail_sumo.highway.env import HighwayEnv
+from rail_sumo.highway.network import demand
 from rail_sumo.highway.observation import feature_names
 from rail_sumo.highway.simulation import floating_car_data
 from rail_sumo.imitation.demonstrations import Demonstrations
@@ -112,6 +113,8 @@ def evaluate(
     require_drivable(world, episodes)
     if fcd:
         _check_fcd(fcd, workers)
+    for warning in demand.warnings(demand.read(world.traffic)):
+        observer.note(warning)
     network = assets.network_name(world.network.file)
     labels = list(itertools.product(policies, range(episodes)))
     tasks = [

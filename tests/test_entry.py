@@ -163,3 +163,22 @@ def test_a_replaced_cars_route_is_the_course_to_its_end(make, tmp_path):
     assert driven.end_reason == "end of road"
     assert driven.distance_m == pytest.approx(env.stretch.drivable_m, abs=25.0)
     assert env.stretch.start_m == pytest.approx(4.2, abs=3.0)
+
+
+def test_the_host_is_never_teleported(make, tmp_path):
+    """It waits behind cars that stand on all lanes, as another does that is teleported."""
+    standing = [
+        f'<vehicle id="jam{k}" depart="0" departLane="{k}"><route edges="highway"/>'
+        f'<stop lane="highway_{k}" endPos="400" duration="1000"/></vehicle>'
+        for k in range(3)
+    ]
+    late = [
+        f'<vehicle id="late{k}" depart="40" departLane="{k}"><route edges="highway"/></vehicle>' for k in range(2)
+    ]
+    traffic = demand(tmp_path, *standing, *late) | {"options": ["time-to-teleport=20"], "host": "late1"}
+    env = make(on_highway3(traffic, episode={"duration_s": 100.0}))
+    env.reset(seed=0)
+    while not env.is_over:
+        env.drive(KEEP)
+    assert "late0" not in libsumo.vehicle.getIDList()  # it had no other edge to go on with
+    assert 350.0 < libsumo.vehicle.getLanePosition("late1") < 400.0

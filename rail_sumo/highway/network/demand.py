@@ -84,8 +84,7 @@ def read(traffic: config.Traffic) -> Demand:
     """Return the demand that the configuration names, after reading its files.
 
     Raises:
-        InputError: no such file, not XML, one that has our ids or includes itself, route files that put nobody on the
-            road, or an option that is ours to set.
+        InputError: no such file, not XML, one that has our ids or includes itself, or an option that is ours to set.
     """
     routes, additional = tuple(map(assets.routes, traffic.routes)), tuple(map(assets.additional, traffic.additional))
     demand = Demand(routes, additional, dict(_options(traffic.options)))
@@ -95,14 +94,14 @@ def read(traffic: config.Traffic) -> Demand:
             raise InputError(
                 f"'{path}' has the id '{reserved}'; ids that begin with {OURS} are rail-sumo's own: rename it"
             )
-    if routes and not demand.has_traffic:
-        names = "', '".join(map(str, routes))
-        raise InputError(f"demand '{names}' has no <vehicle>, <flow> or <trip>; rail-sumo needs traffic to drive in")
     return demand
 
 
 def warnings(demand: Demand) -> Iterator[str]:
     """Tell what SUMO would not do as it is written, and says nothing about."""
+    if demand.routes and not demand.has_traffic:
+        names = "', '".join(map(str, demand.routes))
+        yield f"'{names}' has no <vehicle>, <flow> or <trip>: traffic is made for the host"
     for given in demand.routes:
         for path in _with_included(given):
             misplaced = _content(path, state_of(path)).misplaced
