@@ -70,7 +70,7 @@ CHOICES = {
     ],
     "gail": [
         Choice("gail.learning_rate", "3e-4", "1e-3", "gail.learning_rate=1e-3"),
-        Choice("gail.batch_size", "256", "1024", "gail.batch_size=1024"),
+        Choice("gail.batch_size", "1024", "256", "gail.batch_size=256"),
         Choice("gail.epochs", "10", "5", "gail.epochs=5"),
         Choice("gail.discount", "0.99", "0.95", "gail.discount=0.95"),
         Choice("gail.gae_lambda", "0.95", "0.8", "gail.gae_lambda=0.8"),

@@ -281,7 +281,7 @@ class Gail(_Section):
     critic_hidden: tuple[Count, ...] = (64, 64)
     """Units of each of the critic's hidden layers."""
     learning_rate: Positive = 3e-4
-    batch_size: Annotated[int, Field(ge=2)] = 256
+    batch_size: Annotated[int, Field(ge=2)] = 1024
     epochs: Count = 10
     """How often an iteration's decisions are gone through."""
     discount: Annotated[float, Field(gt=0.0, lt=1.0)] = 0.99
