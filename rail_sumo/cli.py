@@ -306,14 +306,26 @@ def check(
     file: Annotated[str, typer.Argument(help=_NETWORK)],
     routes: Routes = None,
     overrides: Overrides = None,
+    as_json: Annotated[bool, typer.Option("--json", help="All edges and findings, as JSON.")] = False,
 ) -> None:
     """Tell where on a network rail-sumo would drive, and what may go wrong there."""
     from rail_sumo.highway import trial
 
-    course, warnings = trial.check(config.load(None, _overrides(file, routes, overrides)))
-    print(_describe(course))
-    print(f"edges: {_shortened([edge.id for edge in course.edges])}")
-    for warning in warnings:
+    found = trial.check(config.load(None, _overrides(file, routes, overrides)))
+    if as_json:
+        print(json.dumps(found.as_json, indent=2))
+        return
+    print(_describe(found.road))
+    print(f"edges: {_shortened([edge.id for edge in found.road.edges])}")
+    low, high = found.limits_kmh
+    print(f"limit: {low} km/h" if low == high else f"limits: {low} to {high} km/h")
+    if found.n_signals:
+        print(f"traffic lights: {found.n_signals}")
+    if found.ending_lanes:
+        print(f"lanes end on: {_shortened(list(found.ending_lanes))}; the host leaves them in time")
+    if found.host:
+        print(f"host of the first episode: '{found.host}' of the demand, from {found.enters_s:.0f} s on")
+    for warning in found.warnings:
         print(f"warning: {warning}")
 
 

@@ -212,16 +212,20 @@ def test_a_sumocfg_brings_its_network_demand_and_options_and_what_is_ours_is_tol
     assert (world.traffic.begin_s, code, err) == (120.0, 0, note)
     assert world.traffic.options == ("scale=0.5", "time-to-teleport=300")
     code, out, err = rail_sumo("network", "check", "a/my.sumocfg")
-    assert (code, out, err) == (0, "my: road of 8,200 m with 3 lanes\nedges: highway\n", note)
+    told = "my: road of 8,200 m with 3 lanes\nedges: highway\nlimit: 80 km/h\nhost of the first episode: 'follow."
+    assert (code, err) == (0, note)
+    assert out.startswith(told)
     others = ("--routes", "highway3", "--set", "traffic.begin_s=9")
     assert 'routes = [\n    "highway3",\n]' in rail_sumo("config", "--network", "a/my.sumocfg", *others)[1]
     assert "begin_s = 9.0" in rail_sumo("config", "--network", "a/my.sumocfg", *others)[1]
 
 
 def test_check_tells_the_edges_and_where_the_road_ends_too_soon(rail_sumo):
-    assert rail_sumo("network", "check", "highway5")[1] == "highway5: road of 8,200 m with 5 lanes\nedges: highway\n"
+    assert rail_sumo("network", "check", "highway5")[1] == (
+        "highway5: road of 8,200 m with 5 lanes\nedges: highway\nlimit: 80 km/h\n"
+    )
     longer = ("--set", "episode.course_m=8000")
-    assert rail_sumo("network", "check", "highway5", *longer)[1].splitlines()[2] == (
+    assert rail_sumo("network", "check", "highway5", *longer)[1].splitlines()[3] == (
         "warning: the road ends 7928 m after the host's start, and so will episodes of up to 8000 m; "
         "set episode.course_m to 7927 or less"
     )

@@ -172,9 +172,7 @@ def test_the_host_is_never_teleported(make, tmp_path):
         f'<stop lane="highway_{k}" endPos="400" duration="1000"/></vehicle>'
         for k in range(3)
     ]
-    late = [
-        f'<vehicle id="late{k}" depart="40" departLane="{k}"><route edges="highway"/></vehicle>' for k in range(2)
-    ]
+    late = [f'<vehicle id="late{k}" depart="40" departLane="{k}"><route edges="highway"/></vehicle>' for k in range(2)]
     traffic = demand(tmp_path, *standing, *late) | {"options": ["time-to-teleport=20"], "host": "late1"}
     env = make(on_highway3(traffic, episode={"duration_s": 100.0}))
     env.reset(seed=0)

@@ -146,7 +146,7 @@ def test_the_window_reaches_over_edges_with_other_lanes(make, soon_narrow):
         env.reset(seed=UNSEEN + seed)
         assert len(libsumo.vehicle.getIDList()) > 10
     env.close()
-    assert trial.check(world(network=soon_narrow))[1][0].startswith("the road ends 1")
+    assert trial.check(world(network=soon_narrow)).warnings[0].startswith("the road ends 1")
 
 
 def test_the_host_starts_on_a_lane_that_leads_on(make, soon_narrow):

@@ -1,15 +1,18 @@
 """What `rail-sumo network check` tells before anybody drives."""
 
+import json
+from pathlib import Path
+
 import pytest
-from driving import world
+from driving import EMPTY, world
 
 from rail_sumo.errors import InputError
 from rail_sumo.highway import trial
 
 
 def test_the_check_tells_of_a_demand_that_never_comes_along_the_course(two_roads):
-    assert trial.check(two_roads("beside"))[1] == []
-    (told,) = trial.check(two_roads("highway"))[1]
+    assert trial.check(two_roads("beside")).warnings == ()
+    (told,) = trial.check(two_roads("highway")).warnings
     assert told.startswith(
         "when the host enters, no vehicle of the demand is on its course or on the way to it; lead netw"
     )
@@ -34,5 +37,30 @@ def test_the_check_tells_of_a_demand_out_of_order(tmp_path):
     path = tmp_path / "late.rou.xml"
     vehicles = "".join(f'<vehicle id="v{at}" depart="{at}"><route edges="highway"/></vehicle>' for at in (0, 50, 40))
     path.write_text(f"<routes>{vehicles}</routes>")
-    (told,) = trial.check(world(traffic={"routes": (str(path),)}))[1]
+    (told,) = trial.check(world(traffic={"routes": (str(path),)})).warnings
     assert "is not in order of departure: 'v40' may enter late" in told
+
+
+def test_signals_limits_and_lanes_that_end_are_told(soon_narrow):
+    signals = str(Path(__file__).with_name("two_signals.net.xml"))
+    assert trial.check(world(network={"file": signals}, traffic=EMPTY)).n_signals == 2
+    found = trial.check(world(network=soon_narrow, traffic=EMPTY))
+    assert found.n_signals == 0
+    assert found.ending_lanes == {"wide": [0]}
+    assert found.limits_kmh == (130, 130)
+
+
+def test_the_host_is_told_if_it_is_one_of_the_demand(tmp_path):
+    path = tmp_path / "cars.rou.xml"
+    path.write_text('<routes><vehicle id="mine" depart="70"><route edges="highway"/></vehicle></routes>')
+    found = trial.check(world(traffic={"routes": [str(path)], "host": "replaces"}))
+    assert (found.host, found.enters_s) == ("mine", pytest.approx(70.1, abs=0.11))
+    assert trial.check(world()).host == ""
+
+
+def test_all_of_it_is_plain_json(soon_narrow):
+    told = json.loads(json.dumps(trial.check(world(network=soon_narrow, traffic=EMPTY)).as_json))
+    first = told["edges"][0]
+    assert (first["id"], first["lanes"], first["ending_lanes"]) == ("wide", 3, [0])
+    assert (told["host"], told["signals"], told["is_loop"], told["is_left_hand"]) == (None, 0, False, False)
+    assert any(text.startswith("the road ends") for text in told["warnings"])

@@ -59,9 +59,10 @@ class HighwayEnv(gymnasium.Env[Floats, np.int64]):
         self._outputs = outputs
         self.demand = demand.read(self.config.traffic)
         """The user's own; see `Demand.has_traffic`."""
-        self._replaces = self.demand.has_traffic and self.config.traffic.host != "added"
+        self.is_one_of_the_demand = self.demand.has_traffic and self.config.traffic.host != "added"
+        """Whether the host is a vehicle of the demand."""
         self._net_file = assets.network(self.config.network.file)
-        if not self._replaces:
+        if not self.is_one_of_the_demand:
             course = road.load(self.config.network.file, self.config.network.course)
             self.stretch = (
                 Stretch.along(course, self.config, DEMAND_START_M)
@@ -104,7 +105,7 @@ class HighwayEnv(gymnasium.Env[Floats, np.int64]):
 
     def _outputs_of_host(self) -> Sequence[str]:
         """Return SUMO's options for outputs, which name the host: of a car yet to be drawn it is drawn once before."""
-        if not self._outputs or not self._replaces:
+        if not self._outputs or not self.is_one_of_the_demand:
             return self._outputs
         self._open(np.random.default_rng(self._seed), ())
         assert self._simulation is not None
@@ -123,7 +124,7 @@ class HighwayEnv(gymnasium.Env[Floats, np.int64]):
             outputs=outputs,
         )
         self._window: MovingWindow | None = None
-        if self._replaces:
+        if self.is_one_of_the_demand:
             self.stretch = entry.take_over(simulation, self.config, self.demand, rng)
         else:
             self._add_host(simulation, rng)
@@ -276,6 +277,11 @@ class HighwayEnv(gymnasium.Env[Floats, np.int64]):
     def host_name(self) -> str:
         """The id of the host's vehicle in SUMO."""
         return self._simulation.host.name if self._simulation else HOST
+
+    @property
+    def n_signals_ahead(self) -> int:
+        """How many traffic lights are on the host's way."""
+        return self._under_way().host.n_signals_ahead
 
     @property
     def scene(self) -> Scene:

@@ -210,6 +210,11 @@ class Host:
         way = way_of(self.name)
         return self._edges.get(way[1]) if len(way) > 1 else None
 
+    @property
+    def n_signals_ahead(self) -> int:
+        """How many traffic lights are on its way."""
+        return len(libsumo.vehicle.getNextTLS(self.name))
+
     def _signals(self) -> list[Signal]:
         """Return the signals that the host may have to brake for by now, the nearest first."""
         if not self._has_signals:

@@ -1,17 +1,74 @@
-"""A world tried for a moment, and what may go wrong in it told, before anybody drives there for hours."""
+"""A world tried for a moment: what the host would drive, and what may go wrong, before anybody drives for hours."""
 
 import math
 from collections.abc import Iterator
+from dataclasses import dataclass
+from typing import Any
 
 from rail_sumo.config import Config
 from rail_sumo.highway.env import HighwayEnv
 from rail_sumo.highway.network import demand, road
 from rail_sumo.highway.network.road import Road
 from rail_sumo.highway.stretch import Stretch
+from rail_sumo.records import KMH
 
 
-def check(world: Config) -> tuple[Road, list[str]]:
-    """Return the course of a world and what may go wrong on it; of the traffic, at the first moment of an episode.
+@dataclass(frozen=True)
+class Findings:
+    """What a first look at a world tells, at the first moment of its first episode."""
+
+    road: Road
+    """The course."""
+    host: str
+    """The id of the demand's vehicle that the host is; empty if it is a vehicle of ours."""
+    enters_s: float
+    """When it enters, in SUMO's time."""
+    n_signals: int
+    """How many traffic lights are on its way."""
+    warnings: tuple[str, ...]
+    """What may go wrong."""
+
+    @property
+    def ending_lanes(self) -> dict[str, list[int]]:
+        """The lanes that do not lead on along the course, by their edge; the host leaves them in time."""
+        ending = {
+            edge.id: [k for k, m in zip(edge.lanes, edge.leads_on_m, strict=True) if not m] for edge in self.road.edges
+        }
+        return {edge: lanes for edge, lanes in ending.items() if lanes}
+
+    @property
+    def limits_kmh(self) -> tuple[int, int]:
+        """The lowest and the highest speed limit of the course's edges."""
+        limits = [round(edge.limit_mps * KMH) for edge in self.road.edges]
+        return min(limits), max(limits)
+
+    @property
+    def as_json(self) -> dict[str, Any]:
+        """All of it in plain types."""
+        return {
+            "network": self.road.name,
+            "length_m": round(self.road.length_m, 2),
+            "is_loop": self.road.is_loop,
+            "is_left_hand": self.road.is_left_hand,
+            "signals": self.n_signals,
+            "host": self.host or None,
+            "host_enters_s": round(self.enters_s, 1),
+            "edges": [
+                {
+                    "id": edge.id,
+                    "length_m": round(edge.length_m, 2),
+                    "lanes": edge.n_lanes,
+                    "limit_kmh": round(edge.limit_mps * KMH, 1),
+                    "ending_lanes": self.ending_lanes.get(edge.id, []),
+                }
+                for edge in self.road.edges
+            ],
+            "warnings": list(self.warnings),
+        }
+
+
+def check(world: Config) -> Findings:
+    """Begin an episode, and tell what it would drive.
 
     Raises:
         InputError: it cannot be driven.
@@ -19,20 +76,23 @@ def check(world: Config) -> tuple[Road, list[str]]:
     env = HighwayEnv(world)
     try:
         env.reset(seed=0)
-        course = env.stretch.road
-        return course, [
-            *_shortness(env.stretch),
-            *road.warnings(course),
-            *demand.warnings(env.demand),
-            *_solitude(env),
-        ]
+        warnings = [*_shortness(env), *road.warnings(env.stretch.road), *demand.warnings(env.demand), *_solitude(env)]
+        return Findings(
+            env.stretch.road,
+            host=env.host_name if env.is_one_of_the_demand else "",
+            enters_s=env.scene.time_s,
+            n_signals=env.n_signals_ahead,
+            warnings=tuple(warnings),
+        )
     finally:
         env.close()
 
 
-def _shortness(stretch: Stretch) -> Iterator[str]:
+def _shortness(env: HighwayEnv) -> Iterator[str]:
+    """Tell where a road of ours to choose ends before an episode does; a vehicle's own route is as long as it is."""
+    stretch: Stretch = env.stretch
     farthest_m = stretch.farthest_m - stretch.overrun_m
-    if stretch.drivable_m < farthest_m:
+    if stretch.drivable_m < farthest_m and not env.is_one_of_the_demand:
         yield (
             f"the road ends {stretch.drivable_m:.0f} m after the host's start, and so will episodes of up to "
             f"{farthest_m:.0f} m; set episode.course_m to {math.floor(stretch.drivable_m)} or less"

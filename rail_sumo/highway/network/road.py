@@ -24,9 +24,6 @@ from rail_sumo.records import Floats
 NARROWEST_LANE_M = 2.4
 """A car of 1.8 m with 0.3 m to either side."""
 
-SHORT_EDGE_M = 42.0
-"""How far a car at 80 km/h drives while it changes lanes, 3.2 m at 1.7 m/s."""
-
 CHANGE_LEFT, CHANGE_RIGHT = "changeLeft", "changeRight"
 """The attributes of a lane that list who may change from it."""
 
@@ -164,16 +161,8 @@ def load(file: str, wanted: tuple[str, ...] = ()) -> Road:
 def warnings(road: Road) -> Iterator[str]:
     """Tell what makes it a poor course."""
     for edge in road.edges:
-        for lane, leads_on_m in enumerate(edge.leads_on_m, edge.first_lane):
-            if not leads_on_m:
-                yield f"lane {lane} of edge '{edge.id}' does not lead on along the course; the host must leave it"
         if 0.0 in (*edge.to_left_m[:-1], *edge.to_right_m[1:]):
             yield f"lines on edge '{edge.id}' forbid some lane changes; the host will not make them"
-        if edge.length_m < SHORT_EDGE_M:
-            yield (
-                f"edge '{edge.id}' is {edge.length_m:.0f} m long; lane changes must end on the edge they begin on, and "
-                f"on one below {SHORT_EDGE_M:.0f} m a fast car begins none"
-            )
         if min(edge.lane_widths_m) < NARROWEST_LANE_M:
             yield (
                 f"edge '{edge.id}' has a lane of {min(edge.lane_widths_m):.2f} m; below {NARROWEST_LANE_M} m a car has "
