@@ -6,10 +6,11 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import libsumo
+import numpy as np
 
 from rail_sumo import config
 from rail_sumo.errors import InputError, did_you_mean
-from rail_sumo.highway import acc
+from rail_sumo.highway import acc, crossing, placing
 from rail_sumo.highway.acc import Leader
 from rail_sumo.highway.hard_braking import hard_brakings
 from rail_sumo.highway.names import HOST, OURS
@@ -322,9 +323,25 @@ class Host:
         speed_mps, leader = self._set_mps, self._leader
         if leader is not None and not self._sumo_drives:
             speed_mps = min(speed_mps, acc.following_mps(self.speeds_mps[-1], leader, self._adas))
+        if self._meets_others and not self._sumo_drives and libsumo.vehicle.getLaneID(self.name).startswith(":"):
+            speed_mps = min(speed_mps, self._clear_of_crossing_mps())
         if speed_mps != self._told_mps:
             libsumo.vehicle.setSpeed(self.name, speed_mps)
             self._told_mps = speed_mps
+
+    def _clear_of_crossing_mps(self) -> float:
+        """Return how fast the host may go on within a junction, for those who are stuck across its path."""
+        vehicle, speed_mps = libsumo.vehicle, self.speeds_mps[-1]
+        reach_m = crossing.reach_m(speed_mps) + placing.VEHICLE_M
+        host_x, host_y = vehicle.getPosition(self.name)
+        rows: list[tuple[float, ...]] = []
+        for name in (self.name, *vehicle.getIDList()):
+            x, y = vehicle.getPosition(name)
+            if abs(x - host_x) < reach_m and abs(y - host_y) < reach_m and (not rows or name != self.name):
+                shape = (vehicle.getLength(name), vehicle.getWidth(name))
+                rows.append((x, y, vehicle.getAngle(name), vehicle.getSpeed(name), *shape))
+        allowed_mps = crossing.allowed_mps(crossing.free_m(placing.boxes(np.array(rows))))
+        return max(allowed_mps, speed_mps - self._adas.emergency_braking_mps2 * SECONDS_PER_STEP, 0.0)
 
     def note(self) -> None:
         """Record the host's speed, its leader and its contacts after a step."""

@@ -7,6 +7,9 @@ import numpy as np
 from rail_sumo.highway.compiled import compiled
 from rail_sumo.records import Floats
 
+VEHICLE_M = 20.0
+"""No vehicle reaches farther than this from its front bumper, by which SUMO places it."""
+
 
 @compiled("float64[:, ::1](float64[:, ::1])")
 def boxes(vehicles: Floats) -> Floats:

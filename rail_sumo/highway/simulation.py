@@ -223,7 +223,8 @@ class Simulation:
         types.setLength(HOST_TYPE, car.length_m)
         types.setWidth(HOST_TYPE, car.width_m)
         libsumo.vehicle.setType(car.name, HOST_TYPE)
-        self.host.take_over(min(libsumo.lane.getMaxSpeed(f"{car.edges[0]}_{car.lane}"), self.host.fastest_mps))
+        types.setMaxSpeed(HOST_TYPE, max(self.host.fastest_mps, car.speed_mps))  # or SUMO would brake it hard
+        self.host.take_over(car.speed_mps)
         self.host.begin()
 
     def _enter(self, speed: str) -> None:

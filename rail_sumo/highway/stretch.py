@@ -7,14 +7,13 @@ from rail_sumo.config import Adas, Config
 from rail_sumo.errors import InputError
 from rail_sumo.highway.network.road import Road
 from rail_sumo.highway.passing import NEAR_M
+from rail_sumo.highway.placing import VEHICLE_M
 from rail_sumo.records import KMH
 
 MARGIN_M = 50.0
 """Room between the traffic window and the road's start, and between the host and the road's end."""
 SHORT_START = 0.25
 """In a window of traffic on a short road the host starts after this share of it."""
-VEHICLE_M = 20.0
-"""No vehicle reaches farther than this from its front bumper, by which SUMO places it."""
 
 
 @dataclass(frozen=True, eq=False)
