@@ -210,7 +210,7 @@ def test_a_sumocfg_brings_its_network_demand_and_options_and_what_is_ours_is_tol
     world = config.load(tmp_path / "read.toml")
     assert (world.network.file, world.traffic.routes) == ("a/my.net.xml", ("a/my.rou.xml",))
     assert (world.traffic.begin_s, code, err) == (120.0, 0, note)
-    assert world.traffic.options == ("scale=0.5", "time-to-teleport=300")
+    assert world.traffic.options == ("scale=0.5",)
     code, out, err = rail_sumo("network", "check", "a/my.sumocfg")
     told = "my: road of 8,200 m with 3 lanes\nedges: highway\nlimit: 80 km/h\nhost of the first episode: 'follow."
     assert (code, err) == (0, note)

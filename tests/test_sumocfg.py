@@ -92,11 +92,6 @@ def test_a_network_alone_leaves_the_rest_as_it_is(tmp_path):
     assert told == []
 
 
-def test_with_a_demand_vehicles_teleport_as_sumo_has_it_by_default(tmp_path):
-    keys, _ = sumocfg.read(written(tmp_path, '<configuration><n v="m.net.xml"/><r v="d.rou.xml"/></configuration>'))
-    assert keys["traffic.options"] == ["time-to-teleport=300"]
-
-
 @pytest.mark.parametrize(
     ("text", "said"),
     [

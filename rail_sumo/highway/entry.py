@@ -16,7 +16,7 @@ from rail_sumo.records import SECONDS_PER_STEP
 WAIT_S = 600.0
 """How long to wait for a car that the host can replace."""
 CHOOSY_S = 60.0
-"""After so long a car will do whose route is too short, if none before it had a longer one."""
+"""After so long without one that has enough to drive, any car will do."""
 
 
 def take_over(simulation: Simulation, config: Config, demand: Demand, rng: np.random.Generator) -> Stretch:
@@ -41,7 +41,6 @@ def take_over(simulation: Simulation, config: Config, demand: Demand, rng: np.ra
         from_s = rng.uniform(earliest_s, max(min(last_s, earliest_s + traffic.entry_within_s), earliest_s))
         until_s = from_s + WAIT_S
     simulation.run_until(from_s - SECONDS_PER_STEP)
-    longest_m = 0.0
     for steps in itertools.count(1):
         simulation.run_without_host(SECONDS_PER_STEP)
         for car in simulation.departed():
@@ -50,9 +49,8 @@ def take_over(simulation: Simulation, config: Config, demand: Demand, rng: np.ra
             stretch = _stretch(car, config)
             if stretch is None:
                 continue
-            long_enough_m = traffic.shortest_route_m if steps * SECONDS_PER_STEP < CHOOSY_S else longest_m
-            longest_m = max(longest_m, stretch.drivable_m)
-            if by_name or stretch.drivable_m >= long_enough_m:
+            is_choosy = not by_name and steps * SECONDS_PER_STEP < CHOOSY_S
+            if not is_choosy or stretch.drivable_m >= traffic.shortest_route_m:
                 simulation.lay_course(stretch.road, config.adas, sees_m=stretch.sees_m, host=car.name)
                 simulation.take_over(car)
                 return stretch

@@ -42,6 +42,8 @@ OUR_OPTIONS = {
     "xml-validation": "never",
 }
 """What SUMO is always told: contacts are counted and not removed, and nothing is said."""
+MADE_TRAFFIC_OPTIONS = {"time-to-teleport": -1, "max-depart-delay": 0}
+"""What it is told beside these of a window's traffic: a vehicle enters at once or not at all, and never teleports."""
 NOTHING = Demand()
 
 RESPECT_OTHERS_GAPS = 512
@@ -115,8 +117,7 @@ class Simulation:
             "net-file": net_file,
             "additional-files": ",".join(map(str, (*types, *demand.additional))),
             "begin": begin_s,
-            "time-to-teleport": -1,
-            **({} if demand.has_traffic else {"max-depart-delay": 0}),  # the window's enter at once or not at all
+            **({} if demand.has_traffic else MADE_TRAFFIC_OPTIONS),
             **demand.options,
             **OUR_OPTIONS,
             "seed": seed % SEEDS,

@@ -63,8 +63,6 @@ def read(path: Path) -> tuple[dict[str, Any], list[str]]:
             raise InputError(f"'{path}' begins at '{begin}', which is no time") from None
     left_out = [option for option in options if is_ours(option, topic_of[option])]
     passed_on = {option: value for option, value in options.items() if option not in left_out}
-    if keys.keys() & {"traffic.routes", "traffic.additional"}:
-        passed_on.setdefault("time-to-teleport", "300")  # SUMO's own default
     if passed_on:
         keys["traffic.options"] = [f"{option}={value}" for option, value in passed_on.items()]
     return keys, [option for option in left_out if topic_of[option] not in UNTOLD_TOPICS]
