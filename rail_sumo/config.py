@@ -90,7 +90,7 @@ class Traffic(_Section):
     """SUMO's car-following model that drives the moving window's vehicles; each decides every 0.5 s."""
     lane_change_every_s: Limit = 30.0
     """Mean time between one vehicle's tries to change lanes; inf for none. Nobody tries more often than every 2 s."""
-    begin_s: NonNegative = 0.0
+    begin_s: Annotated[float, Field(ge=0.0, le=1e9)] = 0.0
     """When to begin, in SUMO's time: 25200 for seven in the morning."""
     warm_up_s: NonNegative = 60.0
     """How long the user's own demand drives before the host enters."""

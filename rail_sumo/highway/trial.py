@@ -5,7 +5,7 @@ from collections.abc import Iterator
 from dataclasses import dataclass
 from typing import Any
 
-from rail_sumo.config import Config
+from rail_sumo.config import FASTEST_CAR_MPS, Config
 from rail_sumo.highway.env import HighwayEnv
 from rail_sumo.highway.network import demand, road
 from rail_sumo.highway.network.road import Road
@@ -38,8 +38,8 @@ class Findings:
 
     @property
     def limits_kmh(self) -> tuple[int, int]:
-        """The lowest and the highest speed limit of the course's edges."""
-        limits = [round(edge.limit_mps * KMH) for edge in self.road.edges]
+        """The lowest and the highest speed limit of the course's edges; where there is none, what a car can do."""
+        limits = [round(min(edge.limit_mps, FASTEST_CAR_MPS) * KMH) for edge in self.road.edges]
         return min(limits), max(limits)
 
     @property
@@ -58,7 +58,7 @@ class Findings:
                     "id": edge.id,
                     "length_m": round(edge.length_m, 2),
                     "lanes": edge.n_lanes,
-                    "limit_kmh": round(edge.limit_mps * KMH, 1),
+                    "limit_kmh": round(min(edge.limit_mps, FASTEST_CAR_MPS) * KMH, 1),
                     "ending_lanes": self.ending_lanes.get(edge.id, []),
                 }
                 for edge in self.road.edges

@@ -3,6 +3,7 @@
 import math
 import xml.etree.ElementTree as ElementTree
 from collections.abc import Iterable, Iterator, Mapping
+from contextlib import suppress
 from dataclasses import dataclass, field
 from functools import cache
 from pathlib import Path
@@ -24,8 +25,16 @@ ADDITIONAL = frozenset({
 })  # fmt: skip
 """Elements that SUMO passes over in route files, and reads from additional files."""
 
+KNOWN = ADDITIONAL | frozenset({
+    *TRAFFIC_ELEMENTS, "routes", "additional", "vType", "vTypeDistribution", "route", "routeDistribution", "person",
+    "personFlow", "container", "containerFlow", "include", "taz", "interval", "type",
+})  # fmt: skip
+"""Elements of which a file of SUMO's has some."""
+
 OUTPUTS = ("file", "output", "dest")
 """Attributes that name a file to be written."""
+DENSEST_FLOW_PER_S = 1000.0
+"""No road takes as many vehicles; SUMO would make them all and never come to an end."""
 OUTPUT_PARAMETER = ".file"
 """What the keys of parameters end with that do, as `device.ssm.file`."""
 
@@ -148,7 +157,8 @@ def _with_included(path: Path, including: tuple[Path, ...] = ()) -> Iterator[Pat
 
 @cache  # every episode asks
 def _content(path: Path, state: tuple[int, int]) -> _Content:
-    misplaced = reserved = ""
+    misplaced = reserved = too_dense = root = ""
+    is_known = False
     out_of_order: list[str] = []
     includes: list[str] = []
     outputs: list[str] = []
@@ -156,7 +166,8 @@ def _content(path: Path, state: tuple[int, int]) -> _Content:
     try:
         with opened(path) as stream:
             for _, element in ElementTree.iterparse(stream):
-                name = element.get("id", "")
+                name, root = element.get("id", ""), element.tag
+                is_known = is_known or root in KNOWN
                 if name.startswith(OURS):
                     reserved = reserved or name
                 if element.tag in ADDITIONAL:
@@ -166,6 +177,8 @@ def _content(path: Path, state: tuple[int, int]) -> _Content:
                 outputs += filter(None, map(element.get, OUTPUTS))
                 if element.tag == "param" and element.get("key", "").endswith(OUTPUT_PARAMETER):
                     outputs.append(element.get("value", ""))
+                if element.tag == "flow" and _rate_per_s(element) > DENSEST_FLOW_PER_S:
+                    too_dense = too_dense or name
                 if element.tag in TRAFFIC_ELEMENTS:
                     departs_s, ends_s = _departures_s(element, otherwise=latest_s)
                     if departs_s < latest_s:
@@ -175,8 +188,28 @@ def _content(path: Path, state: tuple[int, int]) -> _Content:
                 element.clear()
     except (*UNREADABLE, *UNKNOWN_ENCODING) as error:
         raise InputError(f"'{path}' is not a complete XML file: {error}") from None
+    if not is_known:
+        raise InputError(f"'{path}' holds <{root}>, which is no traffic of SUMO's; give a .rou.xml or an .add.xml")
+    if too_dense:
+        raise InputError(
+            f"'{path}': flow '{too_dense}' has more than {DENSEST_FLOW_PER_S:.0f} vehicles a second; correct its number, "
+            f"its period or its time"
+        )
     span_s = (first_s, last_s) if first_s <= last_s else None
     return _Content(misplaced, reserved, span_s, tuple(out_of_order), tuple(includes), tuple(outputs))
+
+
+def _rate_per_s(flow: ElementTree.Element) -> float:
+    """Return how many vehicles a flow has in a second, as far as its attributes tell."""
+    first_s, last_s = _departures_s(flow, otherwise=0.0)
+    rates = []
+    with suppress(ValueError, ZeroDivisionError):
+        rates.append(float(flow.get("vehsPerHour", flow.get("perHour", "0"))) / 3600.0)
+    with suppress(ValueError, ZeroDivisionError):
+        rates.append(1.0 / abs(float(flow.get("period", "inf"))))
+    with suppress(ValueError, ZeroDivisionError):
+        rates.append(float(flow.get("number", "0")) / max(last_s - first_s, 1.0))
+    return max(rates, default=0.0)
 
 
 def _departures_s(element: ElementTree.Element, *, otherwise: float) -> tuple[float, float]:

@@ -317,6 +317,8 @@ def _border(net: Any, edges: list[Any], joints: list[list[Any]], is_loop: bool, 
         inside = _inside(net, joint[outermost]) if joint else ()
         for lane in (car_lanes(edge)[outermost], *inside):
             shape = np.array(lane.getShape(), dtype=np.float64)
+            if not len(shape):
+                raise InputError(f"network: lane '{lane.getID()}' has no shape; build the network anew by netconvert")
             if mirrored:
                 shape[:, 1] *= -1.0
             points.extend(offset(shape, sign * lane.getWidth() / 2))
