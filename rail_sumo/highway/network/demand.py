@@ -192,7 +192,7 @@ def _content(path: Path, state: tuple[int, int]) -> _Content:
         raise InputError(f"'{path}' holds <{root}>, which is no traffic of SUMO's; give a .rou.xml or an .add.xml")
     if too_dense:
         raise InputError(
-            f"'{path}': flow '{too_dense}' has more than {DENSEST_FLOW_PER_S:.0f} vehicles a second; correct its number, "
+            f"'{path}': flow '{too_dense}' has over {DENSEST_FLOW_PER_S:.0f} vehicles a second; correct its number, "
             f"its period or its time"
         )
     span_s = (first_s, last_s) if first_s <= last_s else None
