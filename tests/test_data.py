@@ -45,7 +45,9 @@ def test_no_driver_but_sumos_own_hit_anything_or_was_hit_and_who_is_masked_is_ne
     assert not masked["refused_decisions"].any()
 
 
-@pytest.mark.parametrize("document", ["README.md", "docs/paper.md", "docs/reproduce.md", "docs/learning.md", "docs/roads.md"])
+@pytest.mark.parametrize(
+    "document", ["README.md", "docs/paper.md", "docs/reproduce.md", "docs/learning.md", "docs/roads.md"]
+)
 def test_files_that_documents_name_are_there(document):
     folder = (ROOT / document).parent
     for link in re.findall(r"\]\(([^)#:]+)(?:#[^)]*)?\)", (ROOT / document).read_text(encoding="utf-8")):
