@@ -6,6 +6,7 @@ import json
 import os
 import shlex
 import sys
+import time
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager, suppress
 from functools import partial
@@ -385,12 +386,17 @@ _FIGURES = (
 )
 
 
+LINE_EVERY_S = 60.0
+"""Where nobody watches a terminal, a line tells so often how far work is."""
+
+
 class _Bars:
-    """A `run.Observer` that draws a bar for each piece of work."""
+    """A `run.Observer` that draws a bar for each piece of work; where there is no terminal, a line now and then."""
 
     def __init__(self, progress: Progress) -> None:
         self._progress = progress
         self._task = TaskID(0)
+        self._told_at = time.monotonic()
 
     def start(self, work: str, total: int, done: int = 0) -> None:
         self._task = self._progress.add_task(work, total=total, completed=done, figures="")
@@ -401,6 +407,10 @@ class _Bars:
             with suppress(KeyError):
                 told.append(form.format_map(figures))
         self._progress.update(self._task, advance=1, figures=" ".join(told))
+        if self._progress.disable and time.monotonic() - self._told_at >= LINE_EVERY_S:
+            self._told_at = time.monotonic()
+            task = self._progress.tasks[self._task]
+            self.note(", ".join([f"{task.description}: {task.completed:.0f} of {task.total:.0f} done", *told]))
 
     def note(self, text: str) -> None:
         self._progress.console.print(f"rail-sumo: {text}", soft_wrap=True, markup=False, highlight=False)

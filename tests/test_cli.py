@@ -323,3 +323,20 @@ def test_help_and_rollout_workers_import_nothing_slow():
     slow = "{'torch', 'pandas', 'libsumo', 'scipy', 'numba'} & set(sys.modules)"
     code = f"import sys; from rail_sumo import cli; sys.exit(bool({slow}))"
     assert subprocess.run([sys.executable, "-c", code], check=False).returncode == 0
+
+
+def test_where_nobody_watches_a_terminal_a_line_tells_how_far_work_is(capsys, monkeypatch):
+    monkeypatch.setattr(cli, "LINE_EVERY_S", 0.0)
+    with cli._bars() as bars:
+        bars.start("eval", 3)
+        bars.advance({"speed_kmh": 71.26, "lane_changes": 12.0})
+        bars.advance({})
+    assert capsys.readouterr().err.splitlines() == [
+        "rail-sumo: eval: 1 of 3 done, 71.3 km/h, 12.0 changes",
+        "rail-sumo: eval: 2 of 3 done",
+    ]
+    monkeypatch.setattr(cli, "LINE_EVERY_S", 60.0)
+    with cli._bars() as bars:
+        bars.start("eval", 3)
+        bars.advance({})
+    assert capsys.readouterr().err == ""
