@@ -35,7 +35,7 @@ class Watched(Simulation):
 
     def _step(self) -> None:
         super()._step()
-        self._left_m.append(libsumo.vehicle.getPosition(HOST)[1])
+        self._left_m.append(libsumo.vehicle.getPosition(self.host.name)[1])
 
 
 def account(left_m: list[float], lane_m: float) -> tuple[int, int, int]:

@@ -15,7 +15,7 @@ import numpy as np
 
 from rail_sumo import config
 from rail_sumo.highway import env
-from rail_sumo.highway.simulation import HOST, Simulation
+from rail_sumo.highway.simulation import Simulation
 from rail_sumo.records import Floats, Scene
 from rail_sumo.rollout import EVALUATION, Task, drive, traffic_seed, workers
 
@@ -56,7 +56,9 @@ class Watched(Simulation):
         touching = touched(self.scene())
         self._seen["contacts"] += len(touching - self._touching)
         self._touching = touching
-        others = [pair for pair in libsumo.simulation.getCollisions() if HOST not in (pair.collider, pair.victim)]
+        others = [
+            pair for pair in libsumo.simulation.getCollisions() if self.host.name not in (pair.collider, pair.victim)
+        ]
         self._seen["among others"] += len(others)
 
 
