@@ -157,6 +157,16 @@ def test_where_no_car_departs_it_is_told_when_they_do(make, tmp_path, changes, s
         make(on_highway3(demand(tmp_path) | changes)).reset(seed=0)
 
 
+def test_a_named_vehicle_whose_route_cannot_be_driven_or_that_never_comes_is_told(make, tmp_path):
+    path = two_roads_file(tmp_path)
+    traffic = demand(tmp_path, *rows("short", "highway")) | {"host": "v0"}
+    with pytest.raises(InputError, match=r"^vehicle 'v0' does not drive along network\.course; "):
+        make(world(network={"file": path, "course": ["highway"]}, traffic=traffic)).reset(seed=0)
+    endless = '<flow id="f" begin="0" period="600"><route edges="highway"/></flow>'
+    with pytest.raises(InputError, match=r"^vehicle 'g\.1' of traffic\.host not departed by 72.. s; .* from 0 s on: "):
+        make(on_highway3(demand(tmp_path, endless) | {"host": "g.1"})).reset(seed=0)
+
+
 def test_a_replaced_cars_route_is_the_course_to_its_end(make, tmp_path):
     env = make(on_highway3(demand(tmp_path), episode={"duration_s": 600.0}))
     driven = drive(env, always(KEEP), seed=1)

@@ -15,6 +15,8 @@ from rail_sumo.records import SECONDS_PER_STEP
 
 WAIT_S = 600.0
 """How long to wait for a car that the host can replace."""
+WAIT_FOR_NAMED_S = 7200.0
+"""How long to wait for a vehicle that is named, from the beginning."""
 CHOOSY_S = 60.0
 """After so long without one that has enough to drive, any car will do."""
 
@@ -29,14 +31,16 @@ def take_over(simulation: Simulation, config: Config, demand: Demand, rng: np.ra
         The stretch along that car's route, from where it departs.
 
     Raises:
-        InputError: no car departs that the host could replace.
+        InputError: no car departs that the host could replace, the one that is named has a route that it could not
+            drive, or the network cannot be read.
     """
+    road.require_readable(config.network.file)
     traffic = config.traffic
     by_name = traffic.host != "replaces"
     first_s, last_s = demand.departs_s
     earliest_s = max(min(traffic.begin_s + traffic.warm_up_s, last_s), first_s, traffic.begin_s)
     if by_name:
-        from_s, until_s = traffic.begin_s, last_s + WAIT_S
+        from_s, until_s = traffic.begin_s, min(last_s + WAIT_S, traffic.begin_s + WAIT_FOR_NAMED_S)
     else:
         from_s = rng.uniform(earliest_s, max(min(last_s, earliest_s + traffic.entry_within_s), earliest_s))
         until_s = from_s + WAIT_S
@@ -46,8 +50,11 @@ def take_over(simulation: Simulation, config: Config, demand: Demand, rng: np.ra
         for car in simulation.departed():
             if car.name != traffic.host if by_name else not car.is_car:
                 continue
-            stretch = _stretch(car, config)
-            if stretch is None:
+            try:
+                stretch = _stretch(car, config)
+            except InputError:  # too short, or not on lanes that the host may use
+                if by_name:
+                    raise
                 continue
             is_choosy = not by_name and steps * SECONDS_PER_STEP < CHOOSY_S
             if not is_choosy or stretch.drivable_m >= traffic.shortest_route_m:
@@ -59,16 +66,17 @@ def take_over(simulation: Simulation, config: Config, demand: Demand, rng: np.ra
     raise InputError(_nobody(config, simulation.now_s, first_s, last_s))
 
 
-def _stretch(car: Inserted, config: Config) -> Stretch | None:
-    """Return the stretch along a car's route, as far as it comes over no edge again; None if none could be driven."""
+def _stretch(car: Inserted, config: Config) -> Stretch:
+    """Return the stretch along a vehicle's route, as far as it comes over no edge again.
+
+    Raises:
+        InputError: it could not be driven, or does not lead along `network.course`.
+    """
     edges = car.edges[: next((k for k, edge in enumerate(car.edges) if edge in car.edges[:k]), len(car.edges))]
     wanted = config.network.course
     if wanted and not any(edges[k : k + len(wanted)] == wanted for k in range(len(edges))):
-        return None
-    try:
-        return Stretch.along(road.load(config.network.file, edges), config, car.front_m)
-    except InputError:  # too short, or not on lanes that the host may use
-        return None
+        raise InputError(f"vehicle '{car.name}' does not drive along network.course; name another")
+    return Stretch.along(road.load(config.network.file, edges), config, car.front_m)
 
 
 def _nobody(config: Config, now_s: float, first_s: float, last_s: float) -> str:

@@ -158,6 +158,16 @@ def load(file: str, wanted: tuple[str, ...] = ()) -> Road:
     return _load(path, wanted, state_of(path))
 
 
+def require_readable(file: str) -> None:
+    """Read a network before anybody drives on it.
+
+    Raises:
+        InputError: as in `load`, but for the course.
+    """
+    path = assets.network(file)
+    _read(path, state_of(path))
+
+
 def warnings(road: Road) -> Iterator[str]:
     """Tell what makes it a poor course."""
     for edge in road.edges:
