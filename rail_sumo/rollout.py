@@ -158,7 +158,8 @@ def _drive_all(
     how: Callable[[Task], Driven], work: str, tasks: list[Task], number: WorkerCount, observer: Observer
 ) -> Iterator[Driven]:
     observer.start(work, len(tasks))
-    with workers(number if number == "ray" else max(1, min(number, len(tasks)))) as pool:
+    number = number if number == "ray" else max(1, min(number, len(tasks)))
+    with workers(number, fresh=any(task.outputs for task in tasks)) as pool:
         for driven in pool.map(how, tasks):
             observer.advance(metrics.means([driven]) if isinstance(driven, Trajectory) else {})
             yield driven
@@ -181,16 +182,21 @@ class _Ray:
 
 
 @contextmanager
-def workers(number: WorkerCount) -> Iterator[Workers]:
+def workers(number: WorkerCount, *, fresh: bool = False) -> Iterator[Workers]:
     """Yield something with a `map`: this process for 1, a pool of processes, or a Ray cluster's.
 
     The pool spawns its processes, so none of them carries the parent's torch or its open simulation. They leave
     Ctrl-C to the parent, and end with it.
 
+    Args:
+        number: how many.
+        fresh: whether every task has a process of its own: SUMO keeps in mind, as long as its process lives, which
+            vehicles it was first told to write outputs of.
+
     Raises:
         InputError: Ray is wanted and not installed, or a process of the pool died.
     """
-    if number == 1:
+    if number == 1 and not fresh:
         yield _Serial()
         return
     if number == "ray":
@@ -198,10 +204,10 @@ def workers(number: WorkerCount) -> Iterator[Workers]:
             yield _Ray(pool)
         return
     spawn = multiprocessing.get_context("spawn")
-    executor = ProcessPoolExecutor(number, spawn, initializer=_begin)
+    executor = ProcessPoolExecutor(number, spawn, initializer=_begin, max_tasks_per_child=1 if fresh else None)
     earlier_children = set(multiprocessing.active_children())
     with _ignoring_ctrl_c():  # the workers inherit it, so none is interrupted while it starts
-        for _ in range(number):
+        for _ in range(0 if fresh else number):
             executor.submit(int)  # each starts one
     try:
         yield executor
