@@ -112,7 +112,7 @@ def _find(kind: str, name_or_path: str, suffix: str, folder: str) -> Path:
     if name_or_path in names:
         return _readable(kind, data_root() / folder / f"{name_or_path}{suffix}")
     path = Path(name_or_path)
-    looks_like_a_path = "/" in name_or_path or "\\" in name_or_path or bool(Path(name_or_path).suffix)
+    looks_like_a_path = "/" in name_or_path or "\\" in name_or_path or bool(path.suffix)
     if looks_like_a_path or path.is_file():
         return _own(kind, path)
     raise InputError(f"{kind} '{name_or_path}' not found{did_you_mean(name_or_path, names)}")

@@ -65,7 +65,8 @@ def test_mirrored_the_path_is_as_free_and_a_longer_vehicle_never_frees_it(x, y, 
 
 @given(st.floats(0.0, 40.0))
 def test_it_stops_with_room_to_spare_before_who_is_seen_within_reach(speed_mps):
-    free, speed = crossing.reach_m(speed_mps), speed_mps
+    free = crossing.CLEAR_M + speed_mps**2 / (2 * crossing.BRAKING_MPS2) + speed_mps
+    speed = speed_mps
     while speed > 0.0 and free > 0.0:
         speed = max(min(speed, crossing.allowed_mps(free - speed * 0.1)), speed - 9.0 * 0.1)
         free -= speed * 0.1

@@ -18,11 +18,6 @@ BRAKING_MPS2 = 4.5
 """How hard the host brakes for them as long as that is enough."""
 
 
-def reach_m(speed_mps: float) -> float:
-    """Return how far ahead somebody crossing matters at a speed."""
-    return CLEAR_M + speed_mps**2 / (2 * BRAKING_MPS2) + speed_mps
-
-
 def allowed_mps(free_m: float) -> float:
     """Return the speed from which the host stops in time before somebody so far ahead: v^2 = 2 b s."""
     return math.sqrt(2 * BRAKING_MPS2 * max(free_m - CLEAR_M, 0.0))

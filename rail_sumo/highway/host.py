@@ -2,21 +2,20 @@
 
 import math
 from collections import deque
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 import libsumo
-import numpy as np
 
 from rail_sumo import config
 from rail_sumo.errors import InputError, did_you_mean
-from rail_sumo.highway import acc, crossing, placing
+from rail_sumo.highway import acc, crossing
 from rail_sumo.highway.acc import Leader
 from rail_sumo.highway.hard_braking import hard_brakings
 from rail_sumo.highway.names import HOST, OURS
 from rail_sumo.highway.network.road import Edge, Road
 from rail_sumo.highway.right_of_way import NOT_GREEN, SIGHT_M, GiveWay, Place, Signal
-from rail_sumo.records import SECONDS_PER_STEP, Command, Gaps, HostState
+from rail_sumo.records import SECONDS_PER_STEP, Command, Gaps, HostState, Scene
 
 HOST_TYPE = HOST
 """The id of its vehicle type."""
@@ -65,11 +64,13 @@ class Host:
     Args:
         road: its course.
         adas: limits of its car-following (ACC and AEB).
+        look_around: returns who is around it.
         name: the id of its vehicle.
     """
 
-    def __init__(self, road: Road, adas: config.Adas, name: str = HOST) -> None:
+    def __init__(self, road: Road, adas: config.Adas, look_around: Callable[[], Scene], name: str = HOST) -> None:
         self.name = name
+        self._look_around = look_around
         self._adas = adas
         self.fastest_mps = adas.highest_mps(road.highest_limit_mps)
         self._edges = road.edge_of
@@ -331,17 +332,9 @@ class Host:
 
     def _clear_of_crossing_mps(self) -> float:
         """Return how fast the host may go on within a junction, for those who are stuck across its path."""
-        vehicle, speed_mps = libsumo.vehicle, self.speeds_mps[-1]
-        reach_m = crossing.reach_m(speed_mps) + placing.VEHICLE_M
-        host_x, host_y = vehicle.getPosition(self.name)
-        rows: list[tuple[float, ...]] = []
-        for name in (self.name, *vehicle.getIDList()):
-            x, y = vehicle.getPosition(name)
-            if abs(x - host_x) < reach_m and abs(y - host_y) < reach_m and (not rows or name != self.name):
-                shape = (vehicle.getLength(name), vehicle.getWidth(name))
-                rows.append((x, y, vehicle.getAngle(name), vehicle.getSpeed(name), *shape))
-        allowed_mps = crossing.allowed_mps(crossing.free_m(placing.boxes(np.array(rows))))
-        return max(allowed_mps, speed_mps - self._adas.emergency_braking_mps2 * SECONDS_PER_STEP, 0.0)
+        allowed_mps = crossing.allowed_mps(crossing.free_m(self._look_around().boxes))
+        hardest_mps = self.speeds_mps[-1] - self._adas.emergency_braking_mps2 * SECONDS_PER_STEP
+        return max(allowed_mps, hardest_mps, 0.0)
 
     def note(self) -> None:
         """Record the host's speed, its leader and its contacts after a step."""

@@ -160,7 +160,7 @@ class Simulation:
             sees_m: how far from it, along either axis, a `Scene` shows vehicles.
             host: the id of its vehicle.
         """
-        self.host = Host(road, adas, host)
+        self.host = Host(road, adas, self.scene, host)
         self._edges = road.edge_of
         self._is_left_hand = road.is_left_hand
         self._context_m = sees_m
