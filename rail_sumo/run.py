@@ -126,17 +126,19 @@ def evaluate(
         )
         for name, episode in labels
     ]
-    rows, reasons = [], []
+    rows: list[dict[str, Any]] = []
+    undriven: list[tuple[str, int, str]] = []
     for (name, episode), driven in zip(labels, attempt_all("eval", tasks, workers, observer), strict=True):
         if isinstance(driven, Undriven):
-            observer.note(f"{name} did not drive episode {episode}: {driven.why}")
-            reasons.append(driven.why)
+            undriven.append((name, episode, driven.why))
             told: dict[str, Any] = {"seed": driven.seed, "network": network, "end_reason": driven.end_reason}
         else:
             told = metrics.row(driven, world.adas)
         rows.append({"policy": name, "episode": episode, **told})
-    if len(reasons) == len(labels):
-        raise InputError(reasons[0])
+    if len(undriven) == len(labels):
+        raise InputError(undriven[0][-1])
+    for name, episode, why in undriven:
+        observer.note(f"{name} did not drive episode {episode}: {why}")
     if fcd:
         _require_whole(fcd)
     table = report.episodes(rows)
