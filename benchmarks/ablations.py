@@ -154,7 +154,7 @@ def _rail(this: Training, world: config.Config, out: Path) -> dict[str, run.Who]
 
 def _gail(this: Training, world: config.Config, out: Path) -> dict[str, run.Who]:
     learned = _learned(this, world, out, this.iterations)
-    return {"last": learned.policy(world), "clone": learned.clone}
+    return {"last": learned.policy(), "clone": learned.clone}
 
 
 def effects(trainings: pd.DataFrame, choices: list[Choice], metric: str) -> pd.DataFrame:

@@ -96,7 +96,7 @@ def control(folder: Path, iterations: int | None, episodes: int) -> None:
             return np.array([metrics.row(trajectory, world.adas)["speed_kmh"] for trajectory in driven])
 
         by_clone = speeds(clone)
-        contenders = {f"rail's judge, {world.train.n_iterations} iterations": speeds(learned.policy(world))}
+        contenders = {f"rail's judge, {world.train.n_iterations} iterations": speeds(learned.policy())}
         for name, judge in (("constant judge", Indifferent()), ("coin toss", CoinToss())):
             states = rail.train(
                 clone.theta, none, search=world.search, judge=judge, evaluate=evaluate, seed=learned.seed

@@ -259,7 +259,7 @@ def memory_mb(pid: int) -> dict[str, float]:
 def policy_of(run: Path | None, config: Config) -> PolicyParameters:
     """Return a run directory's policy; without one, a clone of the shipped demonstrations, with seed 0."""
     if run is not None:
-        return RunDirectory(run).policy(config)
+        return RunDirectory(run).policy()
     from rail_sumo import assets
     from rail_sumo.highway.observation import feature_names
     from rail_sumo.imitation import bc

@@ -49,6 +49,11 @@ def network_names() -> tuple[str, ...]:
     return _names("networks", NETWORK_SUFFIX)
 
 
+def routes_names() -> tuple[str, ...]:
+    """Return the names of the shipped demand; each is that of the network it is for."""
+    return _names("routes", ROUTES_SUFFIX)
+
+
 def expert(filename: str, folder: Path | None = None) -> Path:
     """Return a file of an expert, the shipped one unless told, after comparing its SHA-256 with `manifest.json`.
 

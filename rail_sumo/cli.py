@@ -352,6 +352,8 @@ def _overrides(network: str | None, routes: list[str] | None, overrides: list[st
         world = {"network.file": network}
     if routes:
         world["traffic.routes"] = routes
+    if world:
+        world["varied.networks"] = []  # it is this one
     # Values in JSON are values in TOML, but for escapes beyond 16 bits.
     return [*(f"{key}={json.dumps(value, ensure_ascii=False)}" for key, value in world.items()), *(overrides or ())]
 

@@ -6,10 +6,10 @@ import textwrap
 import tomllib
 from collections.abc import Iterable, Iterator, Mapping
 from pathlib import Path
-from typing import Annotated, Any, Literal
+from typing import Annotated, Any, Literal, NamedTuple
 
 import tomli_w
-from pydantic import BaseModel, ConfigDict, Field, ValidationError, model_validator
+from pydantic import AfterValidator, BaseModel, ConfigDict, Field, ValidationError, model_validator
 
 from rail_sumo.errors import InputError, did_you_mean
 from rail_sumo.records import KMH, SECONDS_PER_STEP
@@ -19,6 +19,20 @@ NonNegative = Annotated[float, Field(ge=0.0, allow_inf_nan=False)]
 Limit = Annotated[float, Field(gt=0.0)]
 """A positive number, or inf for "no limit"."""
 Count = Annotated[int, Field(ge=1)]
+Share = Annotated[float, Field(ge=0.0, le=1.0)]
+
+
+def _ordered(ends: tuple[float, float]) -> tuple[float, float]:
+    if ends[0] > ends[1]:
+        raise ValueError(f"a range is written [lowest, highest]; {ends[0]} is above {ends[1]}")
+    return ends
+
+
+LimitFactor = Annotated[float, Field(ge=0.1, le=10.0)]
+Range = Annotated[tuple[NonNegative, NonNegative], AfterValidator(_ordered)]
+"""The lowest and the highest value that may be drawn."""
+Shares = Annotated[tuple[Share, Share], AfterValidator(_ordered)]
+LimitFactors = Annotated[tuple[LimitFactor, LimitFactor], AfterValidator(_ordered)]
 
 
 class _Section(BaseModel):
@@ -33,6 +47,8 @@ class Network(_Section):
     course: tuple[str, ...] = ()
     """Edges that the host drives along, in driving order; between two of them it takes the shortest way. With the first
     again at the end it goes round. Empty for the longest way straight on."""
+    limit_factor: LimitFactor = 1.0
+    """Every speed limit of the network is multiplied by it."""
 
 
 class Episode(_Section):
@@ -86,6 +102,8 @@ class Traffic(_Section):
     """The lowest desired speed; they are drawn evenly."""
     speed_high_kmh: Positive = 70.0
     """The highest."""
+    lorries: Share = 0.0
+    """The share of the moving window's vehicles that are lorries: 12 m long, and no faster than 90 km/h."""
     car_following: Literal["Krauss", "IDM", "EIDM", "W99"] = "Krauss"
     """SUMO's car-following model that drives the moving window's vehicles; each decides every 0.5 s."""
     lane_change_every_s: Limit = 30.0
@@ -109,6 +127,29 @@ class Traffic(_Section):
         return self
 
 
+class Varied(_Section):
+    """Worlds that differ from episode to episode: each draws its own by its seed, evenly from every range. For drivers
+    that are to be at home on any road. Off while no network is named."""
+
+    networks: tuple[str, ...] = ()
+    """Shipped networks' names, `.net.xml` or `.sumocfg` files: each episode drives on one of them."""
+    own_demand: Share = 0.5
+    """The share of episodes that drive in the network's own demand, where it has one: the shipped demand of the same
+    name, or what the `.sumocfg` names. The others drive in a moving window of traffic."""
+    limit_factor: LimitFactors = (0.8, 1.2)
+    """`network.limit_factor`."""
+    vehicles_per_lane: Range = (1.0, 7.0)
+    """The moving window's vehicles, for each lane of the course."""
+    slowest: Shares = (0.5, 0.8)
+    """The lowest desired speed in the moving window, as a share of the course's highest limit."""
+    fastest: Shares = (0.8, 1.0)
+    """The highest, as a share of the same limit."""
+    lorries: Shares = (0.0, 0.3)
+    """`traffic.lorries`."""
+    demand_scale: Range = (0.6, 1.4)
+    """How many of its vehicles the network's own demand has, as a share: SUMO's option `scale`."""
+
+
 class Lidar(_Section):
     """The synthetic LIDAR."""
 
@@ -125,10 +166,19 @@ class Observation(_Section):
 
     host_speed: bool = False
     """Its own speed."""
+    speed_limit: bool = False
+    """The speed limit where it is; 200 km/h where there is none."""
     lateral_state: bool = False
     """Its offset from the centre of the lane that a lane change set out from."""
     frames: Annotated[int, Field(ge=1, le=8)] = 1
     """Observations of so many decisions, the newest first."""
+
+
+class Senses(NamedTuple):
+    """All that decides what an observation's numbers mean; a part of every learned driver."""
+
+    lidar: Lidar
+    observation: Observation
 
 
 class Adas(_Section):
@@ -373,6 +423,7 @@ class Config(_Section):
     network: Network = Network()
     episode: Episode = Episode()
     traffic: Traffic = Traffic()
+    varied: Varied = Varied()
     lidar: Lidar = Lidar()
     observation: Observation = Observation()
     adas: Adas = Adas()
@@ -402,8 +453,17 @@ class Config(_Section):
         return {f"{section}.{key}": value for section, values in tree.items() for key, value in values.items()}
 
     @property
+    def senses(self) -> Senses:
+        """What drivers see in this world who bring no senses of their own."""
+        return Senses(self.lidar, self.observation)
+
+    def seen_with(self, senses: Senses | None) -> "Config":
+        """Return the same world, seen with other senses; itself if these are None."""
+        return self if senses is None else self.model_copy(update=senses._asdict())
+
+    @property
     def sensing(self) -> dict[str, Any]:
-        """The keys that decide what an observation's numbers mean, as `section.key`."""
+        """The keys of its senses, as `section.key`."""
         return {key: value for key, value in self.flat().items() if key.startswith(("lidar.", "observation."))}
 
     @property

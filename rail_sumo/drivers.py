@@ -9,7 +9,7 @@ import numpy as np
 from safetensors import safe_open
 
 from rail_sumo import assets
-from rail_sumo.config import Adas, Config, first_difference, recorded
+from rail_sumo.config import Adas, Config, Senses, first_difference, recorded
 from rail_sumo.errors import InputError, ObservationError, did_you_mean
 from rail_sumo.highway import acc
 from rail_sumo.highway.acc import Leader
@@ -21,12 +21,18 @@ from rail_sumo.records import Floats, Gaps, MetaAction
 class Driver(Protocol):
     """Decides from what the supervisor sees; the environment is at hand for drivers that see more."""
 
+    @property
+    def senses(self) -> Senses | None:
+        """What it must see with; None if it takes what the world's configuration says."""
+
     def decide(self, observation: Floats, env: HighwayEnv) -> int:
         """Return the next `MetaAction`."""
 
 
 class Keep:
     """Keeps lane and set speed."""
+
+    senses = None
 
     def decide(self, observation: Floats, env: HighwayEnv) -> int:
         """Return KEEP."""
@@ -35,6 +41,8 @@ class Keep:
 
 class Random:
     """Draws every meta-action with the same probability."""
+
+    senses = None
 
     def __init__(self, rng: np.random.Generator) -> None:
         self._rng = rng
@@ -53,6 +61,7 @@ class Rule:
     """
 
     GAIN_MPS = 1.0
+    senses = None
 
     def __init__(self, adas: Adas) -> None:
         self._adas = adas
@@ -80,10 +89,12 @@ class Expert:
 
     Args:
         layers: (weights, biases) from input to output; weights of shape (n_out, n_in).
+        senses: what it was trained with.
     """
 
-    def __init__(self, layers: Sequence[tuple[Floats, Floats]]) -> None:
+    def __init__(self, layers: Sequence[tuple[Floats, Floats]], senses: Senses | None = None) -> None:
         self.layers = layers
+        self.senses = senses
 
     def decide(self, observation: Floats, env: HighwayEnv) -> int:
         """Return the allowed action with the largest output."""
@@ -105,6 +116,7 @@ class Learned:
     def __init__(self, parameters: PolicyParameters, seed: int) -> None:
         self._policy = parameters.policy()
         self._masked = parameters.masked
+        self.senses = parameters.senses
         # A stream of its own, beside the traffic's.
         self._rng = np.random.default_rng([seed, 2]) if parameters.samples else None
 
@@ -124,6 +136,7 @@ class Advised:
     def __init__(self, driver: Driver, adviser: Driver) -> None:
         self._driver = driver
         self._adviser = adviser
+        self.senses = driver.senses
         self.advice: list[int] = []
 
     def decide(self, observation: Floats, env: HighwayEnv) -> int:
@@ -177,7 +190,6 @@ def load_expert(config: Config, folder: Path | None = None) -> Expert:
     """Return the expert in `folder`, which `rail-sumo expert train` wrote; without one, the configuration's.
 
     Raises:
-        ObservationError: it was trained with other sensing than the configuration's.
         InputError: it is missing or damaged.
     """
     folder = folder or config.train.expert_folder
@@ -185,10 +197,14 @@ def load_expert(config: Config, folder: Path | None = None) -> Expert:
         n_layers = len(file.keys()) // 2
         layers = [(file.get_tensor(f"{i}.weight"), file.get_tensor(f"{i}.bias")) for i in range(n_layers)]
     recipe = recorded(assets.expert(assets.EXPERT_RECIPE, folder).read_text(encoding="utf-8"))
-    mismatch = first_difference(recipe.sensing, config.sensing)
+    return Expert(layers, recipe.senses)
+
+
+def require_same_senses(driver: Driver | PolicyParameters, config: Config, name: str) -> None:
+    """Raise ObservationError if a driver was trained with other senses than the configuration's."""
+    own = config.seen_with(driver.senses).sensing
+    mismatch = first_difference(own, config.sensing)
     if mismatch:
         raise ObservationError(
-            f"the expert was trained with {mismatch}; leave [lidar] and [observation] as in its recipe, or train "
-            f"another (rail-sumo expert train) and name its folder in train.expert"
+            f"{name} was trained with {mismatch}; leave [lidar] and [observation] as they were, or train another"
         )
-    return Expert(layers)

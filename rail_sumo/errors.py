@@ -3,7 +3,7 @@
 import difflib
 from collections.abc import Iterable
 
-LISTED = 16
+LISTED = 20
 """At most this many names are listed in a message."""
 
 

@@ -146,7 +146,7 @@ class Experiment:
         check_folder(self.out, overwrite=True)
         run.require_drivable(self.config, self.episodes)
         training.require_loss(self.config)
-        drivers.load_expert(self.config)  # every ratio refers to it
+        drivers.require_same_senses(drivers.load_expert(self.config), self.config, "the expert of every ratio")
         systems = list(grid)
         work = [self._work(Cell(*system, seed)) for seed in range(self.seeds) for system in systems]
         training.demonstrations_of(max(work, key=lambda one: one.cell.trajectories).config)  # are there so many?
@@ -250,7 +250,7 @@ def _driven(work: _Work) -> pd.DataFrame:
     n = world.train.evaluation_episodes
     who: dict[str, Who] = {"": cell.system}
     if SYSTEMS[cell.system].trains:
-        learned = training.learn(world, work.run, seed=cell.seed, resume=work.run.exists()).policy(world)
+        learned = training.learn(world, work.run, seed=cell.seed, resume=work.run.exists()).policy()
         who = {mode: learned.acting(mode) for mode in (ARGMAX, SAMPLED)}
     expert = _episodes(report.EXPERT, world, cell.seed, range(n))
     parts = []

@@ -4,6 +4,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from rail_sumo.config import Senses
 from rail_sumo.records import Floats, MetaAction
 
 N_ACTIONS = len(MetaAction)
@@ -105,6 +106,8 @@ class PolicyParameters:
     """Whether actions are sampled with their softmax probabilities; else the most probable one is taken."""
     masked: bool = False
     """Whether it chooses among the meta-actions that the assistance layer would carry out now."""
+    senses: Senses | None = None
+    """What it sees with, wherever it drives; None for what the world's configuration says."""
 
     def acting(self, mode: str) -> "PolicyParameters":
         """Return the same policy, acting by `ARGMAX` or `SAMPLED`."""

@@ -8,7 +8,7 @@ from collections.abc import Callable, Iterable, Iterator, Mapping
 from concurrent.futures import ProcessPoolExecutor
 from concurrent.futures.process import BrokenProcessPool
 from contextlib import contextmanager
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any, Literal, Protocol, TypeVar
 
 import numpy as np
@@ -29,6 +29,9 @@ def traffic_seed(seed: int, *key: int) -> int:
     """Return the traffic seed of the child `key`, for example (TRAINING, iteration, direction), of the run's seed."""
     return int(np.random.SeedSequence(seed, spawn_key=key).generate_state(1)[0] >> 1)
 
+
+ATTEMPTS = 10
+"""How many episodes are tried for one to learn from."""
 
 Who = str | PolicyParameters | drivers.Expert
 """Who drives, as it travels to a worker: a driver's name, or parameters."""
@@ -57,6 +60,9 @@ class Undriven:
     why: str
 
 
+Driven = TypeVar("Driven")
+
+
 def drive(task: Task) -> Trajectory:
     """Drive one episode in this process.
 
@@ -75,15 +81,39 @@ def attempt(task: Task) -> Trajectory | Undriven:
         return Undriven(task.seed, "not begun" if isinstance(error, NotBegun) else "SUMO stopped", str(error))
 
 
-def drive_advised(task: Task) -> tuple[Trajectory, NDArray[np.int64]]:
-    """Drive one episode; beside it, what the task's adviser would have decided, shape (n_decisions,)."""
+def practise(task: Task) -> Trajectory:
+    """Drive one episode to learn from; where it cannot be driven, one on the next traffic that follows from its seed.
+
+    Raises:
+        InputError: none of `ATTEMPTS` could be driven.
+    """
+    return _practise(drive, task)
+
+
+def practise_advised(task: Task) -> tuple[Trajectory, NDArray[np.int64]]:
+    """Do as `practise` does; return beside it what the task's adviser would have decided, shape (n_decisions,)."""
+    return _practise(_drive_advised, task)
+
+
+def _practise(how: Callable[[Task], Driven], task: Task) -> Driven:
+    for attempt_number in range(1, ATTEMPTS):
+        try:
+            return how(task)
+        except InputError:  # it cannot begin, or SUMO stops
+            task = replace(task, seed=traffic_seed(task.seed, attempt_number))
+    return how(task)
+
+
+def _drive_advised(task: Task) -> tuple[Trajectory, NDArray[np.int64]]:
     assert task.adviser is not None
     driver = drivers.Advised(_driver(task), task.adviser)
     return _drive(task, driver), np.array(driver.advice, dtype=np.int64)
 
 
 def _drive(task: Task, driver: drivers.Driver) -> Trajectory:
-    env = HighwayEnv(task.config, hands_off=drivers.hands_off(task.driver), outputs=task.outputs)
+    env = HighwayEnv(
+        task.config.seen_with(driver.senses), hands_off=drivers.hands_off(task.driver), outputs=task.outputs
+    )
     try:
         observation = _begin_episode(env, task.seed)
         while not env.is_over:
@@ -135,13 +165,11 @@ class _Silent:
 SILENT = _Silent()
 
 
-def drive_all(work: str, tasks: list[Task], number: WorkerCount, observer: Observer = SILENT) -> Iterator[Trajectory]:
-    """Yield the tasks' trajectories in their order; see `workers`.
-
-    Raises:
-        InputError: an episode cannot begin, or SUMO stops.
-    """
-    yield from _drive_all(drive, work, tasks, number, observer)
+def practise_all(
+    work: str, tasks: list[Task], number: WorkerCount, observer: Observer = SILENT
+) -> Iterator[Trajectory]:
+    """Yield trajectories to learn from in the tasks' order; see `practise` and `workers`."""
+    yield from _drive_all(practise, work, tasks, number, observer)
 
 
 def attempt_all(
@@ -149,9 +177,6 @@ def attempt_all(
 ) -> Iterator[Trajectory | Undriven]:
     """Yield the tasks' trajectories in their order, and why there is none; see `workers`."""
     yield from _drive_all(attempt, work, tasks, number, observer)
-
-
-Driven = TypeVar("Driven", bound=Trajectory | Undriven)
 
 
 def _drive_all(

@@ -2,7 +2,6 @@
 
 import itertools
 from collections.abc import Iterable, Mapping
-from contextlib import suppress
 from pathlib import Path
 from typing import Any
 from urllib.parse import quote
@@ -13,8 +12,9 @@ import pyarrow.parquet as pq
 
 from rail_sumo import assets, config, drivers, metrics, report, training
 from rail_sumo.config import Config, dumps
-from rail_sumo.errors import InputError, ObservationError, did_you_mean
+from rail_sumo.errors import InputError, did_you_mean
 from rail_sumo.files import check_file, check_folder
+from rail_sumo.highway import varied
 from rail_sumo.highway.env import HighwayEnv
 from rail_sumo.highway.network import demand
 from rail_sumo.highway.observation import feature_names
@@ -31,7 +31,7 @@ from rail_sumo.rollout import (
     Who,
     WorkerCount,
     attempt_all,
-    drive_all,
+    practise_all,
     traffic_seed,
 )
 from rail_sumo.run_directory import CONFIG, RunDirectory
@@ -54,7 +54,13 @@ def world(policies: Iterable[str], overrides: Iterable[str] = ()) -> Config:
     folders = [Path(policy) for policy in policies if not drivers.is_name(policy)]
     for folder in folders:
         _require_folder(folder)
-    return config.load(folders[0] / CONFIG if folders else None, overrides)
+    chosen = config.load(folders[0] / CONFIG if folders else None, overrides)
+    if any(override.startswith(("lidar.", "observation.")) for override in overrides):
+        for policy in policies:
+            who = find_driver(policy, chosen)
+            if not isinstance(who, str):
+                drivers.require_same_senses(who, chosen, f"policy '{policy}'")
+    return chosen
 
 
 def find_driver(policy: str, world: Config, mode: str = "default") -> Who:
@@ -75,7 +81,7 @@ def find_driver(policy: str, world: Config, mode: str = "default") -> Who:
     if (Path(policy) / assets.MANIFEST).is_file():
         return drivers.load_expert(world, Path(policy))
     _require_folder(Path(policy))
-    learned = RunDirectory(Path(policy)).policy(world)
+    learned = RunDirectory(Path(policy)).policy()
     return learned if mode == "default" else learned.acting(mode)
 
 
@@ -156,7 +162,7 @@ def record(
 ) -> Demonstrations:
     """Return what a driver sees and carries out in traffic of its own, which no evaluation or training meets."""
     tasks = [Task(driver, world, traffic_seed(seed, DEMONSTRATION, episode)) for episode in range(episodes)]
-    return Demonstrations.from_trajectories(list(drive_all("record", tasks, workers, observer)))
+    return Demonstrations.from_trajectories(list(practise_all("record", tasks, workers, observer)))
 
 
 def demonstrate(
@@ -182,6 +188,8 @@ def demonstrate(
     check_file(out, overwrite=overwrite)
     require_drivable(world, episodes)
     who = find_driver(driver, world)
+    if not isinstance(who, str):
+        drivers.require_same_senses(who, world, f"driver '{driver}'")
     demonstrations = record(who, world, episodes=episodes, seed=seed, workers=workers, observer=observer)
     about = {"driver": driver, "seed": str(seed), "config": dumps(world)}
     demonstrations.save(out, features=feature_names(world.lidar, world.observation), about=about)
@@ -208,14 +216,12 @@ def train(
             demonstrations.
     """
     require_drivable(config, config.train.evaluation_episodes)
-    expert: dict[str, Who] = {}
-    with suppress(ObservationError):  # an expert that senses something else cannot drive here
-        expert = {report.EXPERT: drivers.load_expert(config)}
+    expert = drivers.load_expert(config)
     run = training.learn(config, out, seed=seed, workers=workers, resume=resume, observer=observer)
-    policies: dict[str, Who] = {config.train.learner: run.policy(config)}
+    policies: dict[str, Who] = {config.train.learner: run.policy()}
     if training.learner_of(config).compared_with_clone:
         policies |= {f"clone, {mode}": run.clone.acting(mode) for mode in (ARGMAX, SAMPLED)}
-    policies |= expert
+    policies[report.EXPERT] = expert
     episodes = config.train.evaluation_episodes
     tables = evaluate(policies, config, episodes=episodes, seed=seed, workers=workers, observer=observer)
     report.write(out, episodes=tables[0], summary=tables[1], overwrite=True)
@@ -252,7 +258,8 @@ def require_drivable(world: Config, episodes: int = 1) -> None:
     """Raise InputError for what can be known to be wrong before anybody drives."""
     if episodes < 1:
         raise InputError(f"episodes must be at least 1; got {episodes}")
-    HighwayEnv(world)
+    for fixed in varied.one_of_each(world):
+        HighwayEnv(fixed)
 
 
 def _require_folder(policy: Path) -> None:

@@ -9,7 +9,7 @@ import csv
 import io
 import json
 from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
@@ -20,7 +20,7 @@ from safetensors import SafetensorError, safe_open
 
 from rail_sumo.assets import own_version
 from rail_sumo.config import Config, dumps, first_difference, load
-from rail_sumo.errors import InputError, ObservationError
+from rail_sumo.errors import InputError
 from rail_sumo.files import whole_file, whole_folder
 from rail_sumo.highway.observation import feature_names
 from rail_sumo.policy import PolicyParameters, Shape, Whitening
@@ -86,7 +86,8 @@ class RunDirectory:
             raise InputError(f"'{path}' is not a run directory: it has no {CONFIG}")
         self.path = path
         self.config = load(path / CONFIG)
-        self.clone, _, self._about = _read_driver(path / CLONE)
+        clone, _, self._about = _read_driver(path / CLONE)
+        self.clone = replace(clone, senses=self.config.senses)
 
     @classmethod
     def create(
@@ -116,21 +117,14 @@ class RunDirectory:
         """The seed the run was started with."""
         return int(self._about["seed"])
 
-    def policy(self, world: Config) -> PolicyParameters:
-        """Return the learned driver, to drive in a world that shows it what it was trained on.
+    def policy(self) -> PolicyParameters:
+        """Return the learned driver, with the senses that it was trained with.
 
         Raises:
-            ObservationError: the world's sensing is another.
             InputError: the file is damaged.
         """
         learned, _, _ = _read_driver(self.path / POLICY)
-        mismatch = first_difference(self.config.sensing, world.sensing)
-        if mismatch:
-            raise ObservationError(
-                f"policy '{self.path}' was trained with {mismatch}; leave [lidar] and [observation] as in "
-                f"'{self.path / CONFIG}'"
-            )
-        return learned
+        return replace(learned, senses=self.config.senses)
 
     def checkpoint(self) -> Checkpoint:
         """Return where training stands."""

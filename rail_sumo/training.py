@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 from rail_sumo import assets, drivers, metrics, registry, rollout
 from rail_sumo.config import Config
 from rail_sumo.errors import InputError
+from rail_sumo.highway import varied
 from rail_sumo.highway.network import demand
 from rail_sumo.highway.observation import feature_names
 from rail_sumo.highway.reward import total_reward
@@ -57,7 +58,7 @@ def learn(
     if run is None:
         require_new(out)
     if learner_of(config).asks_the_expert:
-        drivers.load_expert(config)  # or there is nobody to ask
+        drivers.require_same_senses(drivers.load_expert(config), config, "the expert, who is to be asked,")
     demonstrations = demonstrations_of(config)
     inputs = inputs_of(config)
     if run is None:
@@ -105,7 +106,7 @@ class Practice:
         """Drive one rollout of each policy, each on traffic of its own, or on the traffic of these numbers."""
         numbers = range(len(policies)) if traffic is None else traffic
         tasks = [self._task(policy, iteration, number) for policy, number in zip(policies, numbers, strict=True)]
-        return list(self._pool.map(rollout.drive, tasks))
+        return list(self._pool.map(rollout.practise, tasks))
 
     def sampled(self, learner: PolicyParameters, n_rollouts: int, iteration: int) -> list[Trajectory]:
         """Drive by actions sampled with the policy's probabilities."""
@@ -116,7 +117,7 @@ class Practice:
     ) -> list[tuple[Trajectory, NDArray[np.int64]]]:
         """Drive by the policy; beside each rollout, what the adviser would have decided."""
         tasks = [replace(self._task(learner, iteration, i), adviser=adviser) for i in range(n_rollouts)]
-        return list(self._pool.map(rollout.drive_advised, tasks))
+        return list(self._pool.map(rollout.practise_advised, tasks))
 
     def _task(self, driver: PolicyParameters, iteration: int, number: int) -> Task:
         return Task(driver, self._world, traffic_seed(self.run.seed, TRAINING, iteration, number))
@@ -383,6 +384,9 @@ def inputs_of(config: Config) -> dict[str, str]:
         "network.file": assets.sha256(assets.network(config.network.file)),
         "traffic.routes": " ".join(map(assets.sha256, traffic.routes)),
     }
+    if config.varied.networks:
+        files = [file for name in config.varied.networks for file in varied.files_of(name)]
+        inputs["varied.networks"] = " ".join(map(assets.sha256, files))
     others = [file for file in traffic.files if file not in traffic.routes]
     if others:
         inputs["traffic.additional"] = " ".join(map(assets.sha256, others))

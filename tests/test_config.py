@@ -30,7 +30,9 @@ def values(annotation, constraints=()):
     """Every value that a key of this type and these limits takes."""
     if get_origin(annotation) is Annotated:
         inner, *metadata = get_args(annotation)
-        return values(inner, [limit for field in metadata for limit in field.metadata])
+        return values(inner, [limit for field in metadata for limit in getattr(field, "metadata", ())])
+    if get_origin(annotation) is tuple and get_args(annotation)[-1] is not Ellipsis:  # a range
+        return st.tuples(*map(values, get_args(annotation))).map(sorted).map(tuple)
     if get_origin(annotation) is tuple:
         return st.lists(values(get_args(annotation)[0]), max_size=3).map(tuple)
     if get_origin(annotation) is Union:  # a number or a word: the number
@@ -180,7 +182,7 @@ def line(message):
 
 SECTIONS = (
     "adas, ars, cloning, dagger, episode, expert, gail, judge, lidar, network, observation, policy, rail, search, "
-    "traffic, train"
+    "traffic, train, varied"
 )
 POLICY_KEYS = "policy.hidden, policy.layers, policy.masked, policy.mode"
 

@@ -177,14 +177,14 @@ def test_on_the_same_traffic_the_rule_driver_is_always_faster_than_keeping_and_r
     assert not (speeds["random"] > speeds["keep"]).all()
 
 
-def test_the_expert_refuses_to_drive_by_other_senses_than_it_was_trained_on():
+def test_a_driver_that_must_see_as_the_world_says_is_refused_by_the_first_key_that_differs():
     message = (
-        "the expert was trained with lidar.n_rays = 24, not 12; leave [lidar] and [observation] as in its recipe, or "
-        "train another (rail-sumo expert train) and name its folder in train.expert"
+        "the expert was trained with lidar.n_rays = 24, not 12; leave [lidar] and [observation] as they were, or train "
+        "another"
     )
     odd = Config(lidar=config.Lidar(n_rays=12), observation=config.Observation(host_speed=True, lateral_state=True))
     with pytest.raises(ObservationError, match=f"^{re.escape(message)}$"):
-        drivers.by_name("expert", odd, 0)
+        drivers.require_same_senses(drivers.load_expert(odd), odd, "the expert")
 
 
 @pytest.mark.parametrize(
@@ -193,11 +193,14 @@ def test_the_expert_refuses_to_drive_by_other_senses_than_it_was_trained_on():
         ("lidar.max_range_m=60.0", "lidar.max_range_m = 100.0, not 60.0"),
         ("lidar.road_edges=false", "lidar.road_edges = True, not False"),
         ("observation.frames=2", "observation.frames = 1, not 2"),
+        ("observation.speed_limit=true", "observation.speed_limit = False, not True"),
     ],
 )
 def test_senses_differ_by_what_their_numbers_mean_not_by_how_many_there_are(override, message):
+    world = config.load(None, [override])
     with pytest.raises(ObservationError, match=re.escape(message)):
-        drivers.by_name("expert", config.load(None, [override]), 0)
+        drivers.require_same_senses(drivers.load_expert(world), world, "the expert")
+    drivers.require_same_senses(drivers.Keep(), world, "keep")  # which takes whatever it is shown
 
 
 def test_the_expert_may_decide_more_often_than_it_was_trained_to():
@@ -218,7 +221,7 @@ def test_a_drawing_driver_decides_with_softmax_probabilities_and_by_its_seed():
 
 
 def test_advice_is_noted_for_each_observation_as_it_comes_and_not_taken():
-    decides = SimpleNamespace(decide=lambda observation, env: MetaAction.KEEP)
+    decides = SimpleNamespace(senses=None, decide=lambda observation, env: MetaAction.KEEP)
     advises = SimpleNamespace(decide=lambda observation, env: observation + env)
     driver = drivers.Advised(decides, advises)
     assert [driver.decide(observation, 10) for observation in (1, 2, 3)] == [MetaAction.KEEP] * 3

@@ -61,15 +61,15 @@ def test_training_recording_and_evaluation_meet_traffic_of_their_own(tmp_path, m
         met.append(list(itertools.islice(traffic_seeds, 50)))
         return always(MetaAction.KEEP)
 
-    def noted(drive_all):
+    def noted(drives_all):
         def drive(work, tasks, *rest):
             met.append([task.seed for task in tasks])
-            return drive_all(work, tasks, *rest)
+            return drives_all(work, tasks, *rest)
 
         return drive
 
     monkeypatch.setattr(ppo, "train", train)
-    for drives in ("drive_all", "attempt_all"):
+    for drives in ("practise_all", "attempt_all"):
         monkeypatch.setattr(run, drives, noted(getattr(run, drives)))
     expert.train(SHORT, tmp_path / "mine", seed=5)
     assert [len(seeds) for seeds in met] == [50, 2, 3]

@@ -73,7 +73,7 @@ def test_the_demonstrations_shown_are_learned_from(shown):
     folder, (*_, command) = shown
     run(folder, "mine.py")
     rail_sumo(folder, f"{command} --set train.learner=bc --out runs/mine", "--set", "train.iterations=0")
-    policy = RunDirectory(folder / "runs" / "mine").policy(load()).policy()
+    policy = RunDirectory(folder / "runs" / "mine").policy().policy()
     assert policy(np.zeros(48)) == MetaAction.ACCELERATE  # all it was shown
 
 

@@ -2,9 +2,10 @@ import numpy as np
 
 from rail_sumo import config
 from rail_sumo.highway.observation import Layout, feature_names
+from rail_sumo.records import KMH
 
 LIDAR = config.Lidar(n_rays=3)
-EVERYTHING = config.Observation(host_speed=True, lateral_state=True, frames=3)
+EVERYTHING = config.Observation(host_speed=True, speed_limit=True, lateral_state=True, frames=3)
 
 
 def observe(layout, number):
@@ -12,6 +13,7 @@ def observe(layout, number):
     return layout.observe(
         np.array((number + np.array([0.1, 0.2, 0.3]), -number - np.array([0.1, 0.2, 0.3]))),
         speed_mps=number + 0.5,
+        limit_mps=number + 0.6,
         lateral_m=number + 0.7,
     )
 
@@ -26,7 +28,7 @@ def test_the_default_is_24_distances_then_24_relative_speeds_each_by_its_ray():
     assert names[23:25] == ["distance_23_m", "relative_speed_0_mps"]
     assert names[-1] == "relative_speed_23_mps"
     values = Layout(config.Lidar(), config.Observation()).observe(
-        np.array((np.arange(24.0), -np.arange(24.0))), speed_mps=99.0, lateral_m=99.0
+        np.array((np.arange(24.0), -np.arange(24.0))), speed_mps=99.0, limit_mps=99.0, lateral_m=99.0
     )
     assert values.tolist() == [*range(24), *(-ray for ray in range(24))]
 
@@ -41,8 +43,15 @@ def test_every_value_stands_under_its_name():
         "relative_speed_2_mps": -4.3,
         "host_speed_mps": 4.5,
     }
+    only_limit = config.Observation(speed_limit=True)
+    assert named(Layout(LIDAR, only_limit), 4, only_limit)["speed_limit_mps"] == 4.6
     only_lateral = config.Observation(lateral_state=True)
     assert named(Layout(LIDAR, only_lateral), 4, only_lateral)["lateral_m"] == 4.7
+
+
+def test_what_no_car_can_drive_is_no_limit_and_reads_as_200_kmh():
+    only_limit = config.Observation(speed_limit=True)
+    assert named(Layout(LIDAR, only_limit), 900, only_limit)["speed_limit_mps"] == 200 / KMH
 
 
 def test_the_first_look_of_an_episode_fills_every_frame():

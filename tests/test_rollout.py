@@ -227,7 +227,7 @@ def test_a_traffic_seed_depends_on_its_key_alone():
 
 def test_advised_it_drives_as_it_would_and_the_advice_is_the_advisers_on_what_was_seen():
     expert = drivers.load_expert(MINUTE)
-    driven, advice = rollout.drive_advised(dataclasses.replace(Task(learned(3), MINUTE, 9), adviser=expert))
+    driven, advice = rollout.practise_advised(dataclasses.replace(Task(learned(3), MINUTE, 9), adviser=expert))
     alone = drive(Task(learned(3), MINUTE, 9))
     assert same(dataclasses.replace(driven, allowed=alone.allowed), alone)
     assert alone.allowed.all()
@@ -235,7 +235,7 @@ def test_advised_it_drives_as_it_would_and_the_advice_is_the_advisers_on_what_wa
     assert len(advice) == len(driven.decisions)
     assert not np.array_equal(advice, driven.decisions)
     by_expert = drive(Task(expert, MINUTE, 9))
-    own, advised = by_expert.decisions, rollout.drive_advised(Task(expert, MINUTE, 9, adviser=expert))[1]
+    own, advised = by_expert.decisions, rollout.practise_advised(Task(expert, MINUTE, 9, adviser=expert))[1]
     np.testing.assert_array_equal(advised, own)
 
 

@@ -76,7 +76,8 @@ def _stretch(car: Inserted, config: Config) -> Stretch:
     wanted = config.network.course
     if wanted and not any(edges[k : k + len(wanted)] == wanted for k in range(len(edges))):
         raise InputError(f"vehicle '{car.name}' does not drive along network.course; name another")
-    return Stretch.along(road.load(config.network.file, edges), config, car.front_m)
+    course = road.load(config.network.file, edges, limit_factor=config.network.limit_factor)
+    return Stretch.along(course, config, car.front_m)
 
 
 def _nobody(config: Config, now_s: float, first_s: float, last_s: float) -> str:

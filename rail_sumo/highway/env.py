@@ -14,7 +14,7 @@ from rail_sumo import assets
 from rail_sumo.config import Config
 from rail_sumo.config import Lidar as LidarConfig
 from rail_sumo.errors import InputError
-from rail_sumo.highway import entry, sumo_process
+from rail_sumo.highway import entry, sumo_process, varied
 from rail_sumo.highway.adas import Adas, HandsOff, lanes_leading_on
 from rail_sumo.highway.lidar import Lidar
 from rail_sumo.highway.network import demand, road
@@ -57,28 +57,34 @@ class HighwayEnv(gymnasium.Env[Floats, np.int64]):
         self.config = config or Config()
         self._hands_off = hands_off
         self._outputs = outputs
-        self.demand = demand.read(self.config.traffic)
-        """The user's own; see `Demand.has_traffic`."""
-        self.is_one_of_the_demand = self.demand.has_traffic and self.config.traffic.host != "added"
-        """Whether the host is a vehicle of the demand."""
-        self._net_file = assets.network(self.config.network.file)
-        if not self.is_one_of_the_demand:
-            course = road.load(self.config.network.file, self.config.network.course)
-            self.stretch = (
-                Stretch.along(course, self.config, DEMAND_START_M)
-                if self.demand.has_traffic
-                else Stretch.in_window(course, self.config)
-            )
-            """What the host drives; where it replaces a car, known from `reset` on."""
+        self._settle(varied.draw(self.config, 0))
         self._layout = Layout(self.config.lidar, self.config.observation)
         self.observation_space = spaces.Box(*self._layout.bounds, dtype=np.float64)
         self.action_space = spaces.Discrete(len(MetaAction))
-        self._period_steps = round(self.config.episode.decision_period_s / SECONDS_PER_STEP)
-        duration_steps = self.config.episode.duration_s / SECONDS_PER_STEP
+        self._period_steps = round(self.world.episode.decision_period_s / SECONDS_PER_STEP)
+        duration_steps = self.world.episode.duration_s / SECONDS_PER_STEP
         self._duration_steps = sys.maxsize if math.isinf(duration_steps) else math.ceil(duration_steps - 1e-6)
         self._simulation: Simulation | None = None
         self._told: list[bool] | None = None
         self._end: EndReason | None = None
+
+    def _settle(self, world: Config) -> None:
+        """Read what a world consists of."""
+        self.world = world
+        """The world of the present episode, in which nothing varies."""
+        self.demand = demand.read(world.traffic)
+        """The user's own; see `Demand.has_traffic`."""
+        self.is_one_of_the_demand = self.demand.has_traffic and world.traffic.host != "added"
+        """Whether the host is a vehicle of the demand."""
+        self._net_file = assets.network(world.network.file)
+        if not self.is_one_of_the_demand:
+            course = road.load(world.network.file, world.network.course, limit_factor=world.network.limit_factor)
+            self.stretch = (
+                Stretch.along(course, world, DEMAND_START_M)
+                if self.demand.has_traffic
+                else Stretch.in_window(course, world)
+            )
+            """What the host drives; where it replaces a car, known from `reset` on."""
 
     @sumo_process.as_input_errors
     def reset(self, *, seed: int | None = None, options: dict[str, Any] | None = None) -> tuple[Floats, dict[str, Any]]:
@@ -86,6 +92,8 @@ class HighwayEnv(gymnasium.Env[Floats, np.int64]):
         super().reset(seed=seed)
         self.close()
         self._seed = int(self.np_random.integers(2**31)) if seed is None else seed
+        if self.config.varied.networks:
+            self._settle(varied.draw(self.config, self._seed))
         self._layout.reset()
         self._overtakes = self._overtaken = 0
         self._observations: list[Floats] = []
@@ -115,22 +123,23 @@ class HighwayEnv(gymnasium.Env[Floats, np.int64]):
 
     def _open(self, rng: np.random.Generator, outputs: Sequence[str]) -> None:
         """Put the host and its traffic on the road."""
-        traffic, adas = self.config.traffic, self.config.adas
+        traffic, adas = self.world.traffic, self.world.adas
         simulation = self._simulation = Simulation(
             self._net_file,
             demand=self.demand,
             begin_s=traffic.begin_s,
             seed=self._seed,
             outputs=outputs,
+            limit_factor=self.world.network.limit_factor,
         )
         self._window: MovingWindow | None = None
         if self.is_one_of_the_demand:
-            self.stretch = entry.take_over(simulation, self.config, self.demand, rng)
+            self.stretch = entry.take_over(simulation, self.world, self.demand, rng)
         else:
             self._add_host(simulation, rng)
             simulation.wait_for_host()
         stretch = self.stretch
-        self._lidar = _lidar(self.config.lidar, stretch.road)
+        self._lidar = _lidar(self.world.lidar, stretch.road)
         self._passes = PassCounter(stretch.near_m)
         if self._hands_off:
             kind = self._hands_off if isinstance(self._hands_off, str) else None
@@ -148,7 +157,7 @@ class HighwayEnv(gymnasium.Env[Floats, np.int64]):
 
     def _add_host(self, simulation: Simulation, rng: np.random.Generator) -> None:
         """Add a host of ours to the demand, or to a window of traffic that is made for it."""
-        traffic, adas, stretch = self.config.traffic, self.config.adas, self.stretch
+        traffic, adas, stretch = self.world.traffic, self.world.adas, self.stretch
         place = stretch.road.place(stretch.start_m)
         assert place is not None  # or nothing were drivable
         simulation.lay_course(stretch.road, adas, sees_m=stretch.sees_m)
@@ -195,7 +204,7 @@ class HighwayEnv(gymnasium.Env[Floats, np.int64]):
             np.array(simulation.host.speeds_mps[-driven:]),
             np.array(self._limits_mps[-driven:]),
             np.array(self._lane_changing[-driven:]),
-            self.config.adas,
+            self.world.adas,
             overtakes=self._overtakes - before[0],
             overtaken=self._overtaken - before[1],
             refused_decisions=self._adas.refused_decisions - before[2],
@@ -254,7 +263,10 @@ class HighwayEnv(gymnasium.Env[Floats, np.int64]):
         if self._window is not None:
             self._window.update(elapsed_s=driven * SECONDS_PER_STEP, host_changing_lane=adas.changing_lane)
         self._observation = self._layout.observe(
-            self._lidar.scan(scene), speed_mps=scene.speed_mps[0], lateral_m=adas.lateral_m
+            self._lidar.scan(scene),
+            speed_mps=scene.speed_mps[0],
+            limit_mps=simulation.host.limit_mps if self.world.observation.speed_limit else math.inf,
+            lateral_m=adas.lateral_m,
         )
         return self._observation
 
@@ -263,7 +275,7 @@ class HighwayEnv(gymnasium.Env[Floats, np.int64]):
         if self._simulation.host.contact:
             return "collision"
         travelled_m = self._simulation.travelled_m(self._simulation.host.name)
-        if travelled_m >= self.config.episode.course_m:
+        if travelled_m >= self.world.episode.course_m:
             return "course"
         if len(self._lane_changing) >= self._duration_steps:
             return "duration"

@@ -199,6 +199,11 @@ class Host:
             stops_ahead=tuple(stops),
         )
 
+    @property
+    def limit_mps(self) -> float:
+        """The speed limit of its lane."""
+        return libsumo.lane.getMaxSpeed(libsumo.vehicle.getLaneID(self.name))
+
     def _limits_beyond_this_lane(self) -> tuple[tuple[float, float], ...]:
         """Return the limits of the edge that comes next, and beyond it, with the metres from here to each."""
         ahead, to_it_m = self._next_edge(), _to_lane_end_m(self.name)

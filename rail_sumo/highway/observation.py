@@ -17,6 +17,8 @@ def feature_names(lidar: config.Lidar, observation: config.Observation) -> list[
     frame += [f"relative_speed_{ray}_mps" for ray in range(lidar.n_rays)]
     if observation.host_speed:
         frame.append("host_speed_mps")
+    if observation.speed_limit:
+        frame.append("speed_limit_mps")
     if observation.lateral_state:
         frame.append("lateral_m")
     ages = ["" if age == 0 else f"_{age}_ago" for age in range(observation.frames)]
@@ -43,17 +45,20 @@ class Layout:
         """Forget the frames of the last episode."""
         self._frames.clear()
 
-    def observe(self, scan: Floats, *, speed_mps: float, lateral_m: float) -> Floats:
+    def observe(self, scan: Floats, *, speed_mps: float, limit_mps: float, lateral_m: float) -> Floats:
         """Return the observation after one more scan.
 
         Args:
             scan: distances and relative speeds, shape (2, n_rays), as `Lidar.scan` returns it.
             speed_mps: the host's speed.
+            limit_mps: the speed limit where it is; what no car can drive counts as no limit.
             lateral_m: its offset from the centre of the lane it started its lane change on, leftwards positive.
         """
         extras = []
         if self._observation.host_speed:
             extras.append(speed_mps)
+        if self._observation.speed_limit:
+            extras.append(min(limit_mps, config.FASTEST_CAR_MPS))
         if self._observation.lateral_state:
             extras.append(lateral_m)
         frame = np.append(scan, extras) if extras else scan.ravel()

@@ -19,7 +19,7 @@ from rail_sumo.highway.network.road import Road
 from rail_sumo.records import SECONDS_PER_STEP, Command, Scene
 
 # Ids that no demand of a user's has; the types' are those of the two files below.
-TRAFFIC_TYPE = f"{OURS}traffic_"
+TRAFFIC_TYPE, LORRY_TYPE = f"{OURS}traffic_", f"{OURS}lorry_"
 """Followed by the car-following model's name."""
 ROUTE = f"{OURS}route"
 DECIDES_EVERY_S = 0.5
@@ -91,6 +91,7 @@ class Simulation:
         begin_s: when to begin in the demand's time, in seconds.
         seed: SUMO's seed.
         outputs: further options of SUMO's, such as its own reports.
+        limit_factor: what every speed limit is multiplied by.
 
     Raises:
         RuntimeError: a simulation is already running in this process.
@@ -105,6 +106,7 @@ class Simulation:
         begin_s: float = 0.0,
         seed: int,
         outputs: Sequence[str] = (),
+        limit_factor: float = 1.0,
     ) -> None:
         self._sizes: dict[str, tuple[float, float]] = {}
         self._routes: dict[tuple[str, ...], str] = {}
@@ -131,6 +133,9 @@ class Simulation:
         except sumo_process.Refused as error:
             raise InputError(f"SUMO cannot load the network or its demand: {error}") from None
         self._is_open = True
+        if limit_factor != 1.0:
+            for lane in libsumo.lane.getIDList():
+                libsumo.lane.setMaxSpeed(lane, libsumo.lane.getMaxSpeed(lane) * limit_factor)
 
     def __enter__(self) -> "Simulation":
         return self
@@ -176,12 +181,13 @@ class Simulation:
         front_m: float,
         desired_speed_mps: float,
         car_following: str,
+        is_lorry: bool = False,
     ) -> None:
         """Insert a vehicle of the moving window on the next step, with its front at `front_m` on the first edge.
 
         SUMO leaves it out where it would not be safe; look for it in the next scene.
         """
-        self._add(name, TRAFFIC_TYPE + car_following, edges, lane, front_m, "desired")
+        self._add(name, (LORRY_TYPE if is_lorry else TRAFFIC_TYPE) + car_following, edges, lane, front_m, "desired")
         libsumo.vehicle.setSpeedFactor(name, 1.0)
         libsumo.vehicle.setMaxSpeed(name, desired_speed_mps)
         libsumo.vehicle.setLaneChangeMode(name, LEAVE_ENDING_LANES)

@@ -17,6 +17,9 @@ CLEAR_OF_ANOTHER_M = 20.0
 """Of two vehicles this near each other only one is told to move into a lane: drivers who move into it from either side
 do not see each other in time."""
 
+FASTEST_LORRY_MPS = 90.0 / KMH
+"""To which speed limiters hold lorries in the European Union."""
+
 PERIOD_S = 2.0
 """How often the window looks for vehicles that have left it."""
 
@@ -107,15 +110,17 @@ class MovingWindow:
         if place is None:
             return  # beyond the end of the road
         index, front_m = place
-        name = f"car{next(self._names)}"
+        is_lorry = self._config.lorries > 0.0 and self._rng.random() < self._config.lorries
+        name = f"{'lorry' if is_lorry else 'car'}{next(self._names)}"
         edges = self._road.laps(index, front_m + self._end_m - (host_m + ahead_m))
         self._simulation.add_vehicle(
             name,
             edges,
             lane=lane,
             front_m=front_m,
-            desired_speed_mps=desired_mps,
+            desired_speed_mps=min(desired_mps, FASTEST_LORRY_MPS) if is_lorry else desired_mps,
             car_following=self._config.car_following,
+            is_lorry=is_lorry,
         )
         self._start_m[name] = host_m + ahead_m
 

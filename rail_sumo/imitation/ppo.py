@@ -4,6 +4,7 @@ Learns from the environment's reward (`highway.reward`).
 """
 
 from collections.abc import Callable, Iterator
+from contextlib import suppress
 
 import numpy as np
 import torch
@@ -11,10 +12,14 @@ from sb3_contrib import MaskablePPO
 from stable_baselines3.common.callbacks import BaseCallback
 
 from rail_sumo.config import Config
+from rail_sumo.errors import InputError
 from rail_sumo.highway.env import HighwayEnv
 from rail_sumo.highway.observation import feature_names
 from rail_sumo.imitation.perceptron import actor, generators_put_back, single_threaded
 from rail_sumo.records import Floats
+
+ATTEMPTS = 10
+"""How many episodes are tried for one that can begin."""
 
 REWARD_SCALE = 0.1
 """A decision earns around ten steps' reward; PPO's defaults are meant for rewards of about 1."""
@@ -40,7 +45,13 @@ class ScaledHighway(HighwayEnv):
         self._traffic_seeds = traffic_seeds
 
     def reset(self, *, seed: int | None = None, options: dict | None = None) -> tuple[Floats, dict]:
-        """Begin an episode on traffic of its own."""
+        """Begin an episode on traffic of its own; where it cannot begin, on the next."""
+        for _ in range(ATTEMPTS - 1):
+            with suppress(InputError):
+                return self._begin()
+        return self._begin()
+
+    def _begin(self) -> tuple[Floats, dict]:
         observation, info = super().reset(seed=next(self._traffic_seeds))
         return observation / self._scale, info
 

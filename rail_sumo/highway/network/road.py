@@ -5,7 +5,7 @@ import math
 import xml.sax
 from bisect import bisect_right
 from collections.abc import Iterable, Iterator, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property, lru_cache
 from pathlib import Path
 from statistics import fmean
@@ -68,6 +68,11 @@ class Edge:
         """Return how far ahead of a place on the edge each of its lanes stops leading on along the course."""
         ahead_m = self.length_m - along_m
         return {lane: ahead_m + leads_on_m for lane, leads_on_m in zip(self.lanes, self.leads_on_m, strict=True)}
+
+    def limited(self, factor: float) -> "Edge":
+        """Return the same edge where every speed limit is multiplied by a factor."""
+        ahead = tuple((beyond_m, limit_mps * factor) for beyond_m, limit_mps in self.limits_ahead)
+        return replace(self, limit_mps=self.limit_mps * factor, limits_ahead=ahead)
 
 
 @dataclass(frozen=True, eq=False)
@@ -146,16 +151,17 @@ class Road:
         return tuple(ids)
 
 
-def load(file: str, wanted: tuple[str, ...] = ()) -> Road:
+def load(file: str, wanted: tuple[str, ...] = (), *, limit_factor: float = 1.0) -> Road:
     """Read a network, a shipped one's name or a `.net.xml`, and lay the course along the edges wanted.
 
-    Without any it is the longest way straight on; see `course`.
+    Without any it is the longest way straight on; see `course`. Every speed limit is multiplied by `limit_factor`.
 
     Raises:
         InputError: no such file, not a SUMO network, a truncated one, or one without such a course.
     """
     path = assets.network(file)
-    return _load(path, wanted, state_of(path))
+    found = _load(path, wanted, state_of(path))
+    return found if limit_factor == 1.0 else _limited(found, limit_factor)
 
 
 def require_readable(file: str) -> None:
@@ -178,6 +184,11 @@ def warnings(road: Road) -> Iterator[str]:
                 f"edge '{edge.id}' has a lane of {min(edge.lane_widths_m):.2f} m; below {NARROWEST_LANE_M} m a car has "
                 f"no margin beside it"
             )
+
+
+@lru_cache(maxsize=32)
+def _limited(road: Road, factor: float) -> Road:
+    return replace(road, edges=tuple(edge.limited(factor) for edge in road.edges))
 
 
 @lru_cache(maxsize=32)
@@ -224,7 +235,7 @@ class _Reader(sumolib.net.NetReader):
             self.sight_m[attrs["via"]] = float(attrs["visibility"])
 
 
-@lru_cache(maxsize=1)  # the host may take another course in every episode
+@lru_cache(maxsize=16)  # the host may take another course in every episode, on one of several networks
 def _read(path: Path, state: tuple[int, int]) -> tuple[Any, dict[str, float], bool]:
     # Not sumolib.net.readNet: it picks another parser when lxml is installed and leaves files open after an error.
     reader = _Reader()
