@@ -1,6 +1,6 @@
 """Varied worlds: an episode's seed draws the network, the limits and the traffic that it drives in."""
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from functools import lru_cache
 from pathlib import Path
 from statistics import fmean
@@ -16,6 +16,8 @@ from rail_sumo.records import KMH
 
 STREAM = 3
 """Tells these draws from others with the same seed."""
+SCALE = "scale"
+"""SUMO's option for how many times the vehicles that a demand names depart."""
 WINDOW: dict[str, Any] = {"routes": (), "additional": (), "options": ()}
 """The keys of `traffic` that leave it to a moving window."""
 
@@ -35,8 +37,8 @@ def draw(config: Config, seed: int) -> Config:
     file, demand = _keys_of(varied.networks[int(where * len(varied.networks))])
     limit_factor = _between(varied.limit_factor, limit)
     if demand and whose < varied.own_demand:
-        scaled = (*demand.get("options", ()), f"scale={_between(varied.demand_scale, scale):.3f}")
-        return _fixed(config, file, limit_factor, demand | {"options": scaled})
+        options = _scaled(demand.get("options", ()), _between(varied.demand_scale, scale))
+        return _fixed(config, file, limit_factor, demand | {"options": options})
     course = road.load(file, limit_factor=limit_factor)
     limit_kmh = min(course.highest_limit_mps, FASTEST_CAR_MPS) * KMH
     n_lanes = fmean(edge.n_lanes for edge in course.edges)
@@ -49,6 +51,12 @@ def draw(config: Config, seed: int) -> Config:
         **WINDOW,
     }
     return _fixed(config, file, limit_factor, traffic)
+
+
+def _scaled(options: Sequence[str], factor: float) -> tuple[str, ...]:
+    """Return a demand's options, with so many times the vehicles."""
+    given = dict(option.split("=", 1) for option in options)
+    return tuple(f"{name}={value}" for name, value in (given | {SCALE: float(given.get(SCALE, 1)) * factor}).items())
 
 
 def one_of_each(config: Config) -> Iterator[Config]:
