@@ -98,7 +98,7 @@ def draw(moment: Moment, course: Road, traffic: Traffic, out: Path) -> None:
     axes = figure.add_axes((0.0, 0.0, 1.0, 1.0))
     axes.set(xlim=(-BEHIND_M, AHEAD_M), ylim=(right - LEGEND_M, left + LEGEND_M))
     axes.axis("off")
-    speeds = ScalarMappable(Normalize(traffic.speed_low_kmh, traffic.speed_high_kmh), "viridis")
+    speeds = ScalarMappable(Normalize(*traffic.desired_kmh(course.highest_limit_mps * KMH)), "viridis")
     draw_road(axes, right, left, course.edges[0].n_lanes)
     draw_rays(axes, moment)
     for row in range(len(moment.scene.ids)):

@@ -17,6 +17,12 @@ EXPERT_POLICY = "policy.safetensors"
 EXPERT_RECIPE = "config.toml"
 EXPERT_DEMONSTRATIONS = "demonstrations.parquet"
 
+DRIVERS = "drivers"
+SHIPPED_EXPERTS = ("road-expert",)
+"""Experts among the shipped drivers."""
+DRIVES_BY = (EXPERT_POLICY, EXPERT_RECIPE, "clone.safetensors")
+"""The files that a shipped driver is read from."""
+
 _PACKAGE = Path(__file__).parent
 
 
@@ -54,13 +60,21 @@ def routes_names() -> tuple[str, ...]:
     return _names("routes", ROUTES_SUFFIX)
 
 
+def expert_folder(name_or_path: str) -> Path:
+    """Return the folder of an expert: "shipped", the name of a shipped driver, or the user's own folder."""
+    if name_or_path == "shipped":
+        return data_root() / "expert"
+    shipped = data_root() / DRIVERS / name_or_path
+    return shipped if name_or_path in SHIPPED_EXPERTS else Path(name_or_path)
+
+
 def expert(filename: str, folder: Path | None = None) -> Path:
     """Return a file of an expert, the shipped one unless told, after comparing its SHA-256 with `manifest.json`.
 
     Raises:
         InputError: not in the manifest, missing, or changed since the manifest was written.
     """
-    folder = folder or data_root() / "expert"
+    folder = folder or expert_folder("shipped")
     files = _manifest(folder / MANIFEST)
     if filename not in files:
         raise InputError(f"expert file '{filename}' not found{did_you_mean(filename, files)}")
@@ -72,6 +86,28 @@ def expert(filename: str, folder: Path | None = None) -> Path:
             f"{files[filename][:12]}...; reinstall rail-sumo or train the expert anew (rail-sumo expert train)"
         )
     return path
+
+
+def is_expert(folder: Path) -> bool:
+    """Return whether a folder is an expert's: whether its manifest tells of demonstrations.
+
+    Raises:
+        InputError: the manifest cannot be read.
+    """
+    return (folder / MANIFEST).is_file() and EXPERT_DEMONSTRATIONS in _manifest(folder / MANIFEST)
+
+
+def driver(name: str) -> Path:
+    """Return the folder of a shipped driver, after comparing what is needed to drive with its `manifest.json`.
+
+    Raises:
+        InputError: as in `expert`.
+    """
+    folder = data_root() / DRIVERS / name
+    for filename in _manifest(folder / MANIFEST):
+        if filename in DRIVES_BY:
+            expert(filename, folder)
+    return folder
 
 
 def sha256(path: Path) -> str:

@@ -2,6 +2,7 @@
 
 import json
 import math
+import re
 import textwrap
 import tomllib
 from collections.abc import Iterable, Iterator, Mapping
@@ -77,6 +78,16 @@ class Episode(_Section):
         return self
 
 
+OF_LIMIT = "limit*"
+
+
+def _share_of_limit(text: str) -> str:
+    if not re.fullmatch(r"limit\*(1|0?\.\d*[1-9]\d*)", text):
+        raise ValueError('a share of the limit, up to 1, written "limit*0.7"')
+    return text
+
+
+LimitShare = Annotated[str, AfterValidator(_share_of_limit)]
 FASTEST_CAR_MPS = 200.0 / KMH
 """What a car can do, as SUMO has it; networks write a higher limit where a road has none."""
 
@@ -98,9 +109,9 @@ class Traffic(_Section):
     """How far the window reaches ahead of the host."""
     behind_m: Annotated[float, Field(ge=50.0, le=2000.0)] = 150.0
     """... and behind it."""
-    speed_low_kmh: Positive = 56.0
-    """The lowest desired speed; they are drawn evenly."""
-    speed_high_kmh: Positive = 70.0
+    speed_low_kmh: Positive | LimitShare = "limit*0.7"
+    """The lowest desired speed; they are drawn evenly. A share of the course's highest limit, or a number."""
+    speed_high_kmh: Positive | LimitShare = "limit*0.875"
     """The highest."""
     lorries: Share = 0.0
     """The share of the moving window's vehicles that are lorries: 12 m long, and no faster than 90 km/h."""
@@ -122,9 +133,19 @@ class Traffic(_Section):
 
     @model_validator(mode="after")
     def _ordered(self) -> "Traffic":
-        if self.speed_low_kmh > self.speed_high_kmh:
-            raise ValueError(f"speed_low_kmh {self.speed_low_kmh} is above speed_high_kmh {self.speed_high_kmh}")
+        if isinstance(self.speed_low_kmh, str) == isinstance(self.speed_high_kmh, str):
+            lowest, highest = self.desired_kmh(1.0)
+            if lowest > highest:
+                raise ValueError(f"speed_low_kmh {self.speed_low_kmh} is above speed_high_kmh {self.speed_high_kmh}")
         return self
+
+    def desired_kmh(self, limit_kmh: float) -> tuple[float, float]:
+        """Return the lowest and the highest desired speed where this is the course's highest limit."""
+        lowest, highest = (
+            float(speed.removeprefix(OF_LIMIT)) * limit_kmh if isinstance(speed, str) else speed
+            for speed in (self.speed_low_kmh, self.speed_high_kmh)
+        )
+        return lowest, highest
 
 
 class Varied(_Section):
@@ -362,7 +383,8 @@ class Train(_Section):
     learner: str = "rail"
     """rail, gail, bc, dagger or ars; or one from outside, written module:attribute (see `training.Learner`)."""
     expert: str = "shipped"
-    """Who is imitated, asked and compared with: "shipped", or a folder that `rail-sumo expert train` wrote."""
+    """Who is imitated, asked and compared with: "shipped", "road-expert", or a folder that `rail-sumo expert train`
+    wrote."""
     demonstrations: str = "expert"
     """"expert" for the expert's own, or a Parquet file that `rail-sumo expert record` wrote."""
     trajectories: Count = 40
@@ -374,11 +396,6 @@ class Train(_Section):
     from late traffic instead of learner from expert."""
     evaluation_episodes: Count = 16
     """On held-out traffic, when training is done."""
-
-    @property
-    def expert_folder(self) -> Path | None:
-        """The expert's folder; None for the shipped one."""
-        return None if self.expert == "shipped" else Path(self.expert)
 
     @property
     def n_iterations(self) -> int:
@@ -568,7 +585,7 @@ def _explain(error: ValidationError) -> str:
     more = f" (and {len(rest)} more)" if rest else ""
     if first["type"] == "extra_forbidden":
         return f"configuration: unknown key '{location}'{_suggest(first['loc'])}{more}"
-    message = " or ".join([first["msg"].removeprefix("Value error, "), *(other["msg"] for other in others)])
+    message = " or ".join(one["msg"].removeprefix("Value error, ") for one in (first, *others))
     message = message.replace(" or Input should be", " or").replace("valid array", 'list, written ["...", "..."]')
     given = "" if isinstance(first["input"], dict) else f", got {first['input']!r}"
     return ": ".join(filter(None, ["configuration", location, f"{message}{given}{more}"]))

@@ -145,7 +145,9 @@ class Advised:
         return self._driver.decide(observation, env)
 
 
-NAMES = ("expert", "rule", "sumo", "keep", "random")
+SHIPPED = ("rail", "road-expert", "road-rail")
+"""Learned drivers by name, beside the expert: the paper's, and those of varied roads."""
+NAMES = ("expert", *SHIPPED, "rule", "sumo", "keep", "random")
 """Drivers by name. `sumo` keeps too: SUMO drives in its stead (`HighwayEnv(hands_off=True)`).
 
 So does `sumo:TYPE`, with the host as a vehicle of one of the demand's types.
@@ -192,7 +194,7 @@ def load_expert(config: Config, folder: Path | None = None) -> Expert:
     Raises:
         InputError: it is missing or damaged.
     """
-    folder = folder or config.train.expert_folder
+    folder = folder or assets.expert_folder(config.train.expert)
     with safe_open(assets.expert(assets.EXPERT_POLICY, folder), framework="numpy") as file:
         n_layers = len(file.keys()) // 2
         layers = [(file.get_tensor(f"{i}.weight"), file.get_tensor(f"{i}.bias")) for i in range(n_layers)]

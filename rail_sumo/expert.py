@@ -2,14 +2,12 @@
 
 import itertools
 import json
-import math
-from importlib.metadata import version
 from pathlib import Path
 
 from safetensors.numpy import save_file
 
 from rail_sumo import report, run
-from rail_sumo.assets import EXPERT_DEMONSTRATIONS, EXPERT_POLICY, EXPERT_RECIPE, MANIFEST, own_version, sha256
+from rail_sumo.assets import EXPERT_DEMONSTRATIONS, EXPERT_POLICY, EXPERT_RECIPE, MANIFEST
 from rail_sumo.config import Config, dumps
 from rail_sumo.drivers import Expert
 from rail_sumo.files import check_folder, whole_folder
@@ -61,7 +59,8 @@ def train(
         save_file(_tensors(expert), whole / EXPERT_POLICY, metadata={"features": json.dumps(features)})
         (whole / EXPERT_RECIPE).write_text(dumps(config), encoding="utf-8")
         demonstrations.save(whole / EXPERT_DEMONSTRATIONS, features=features, about=about)
-        (whole / MANIFEST).write_text(_manifest(whole, tables, seed), encoding="utf-8")
+        means = tables[1].set_index("metric")["mean"]
+        (whole / MANIFEST).write_text(run.manifest(whole, means, seed), encoding="utf-8")
     return tables
 
 
@@ -70,15 +69,3 @@ def _tensors(expert: Expert) -> dict[str, Floats]:
     for index, (weights, biases) in enumerate(expert.layers):
         tensors |= {f"{index}.weight": weights, f"{index}.bias": biases}
     return tensors
-
-
-def _manifest(folder: Path, tables: run.Tables, seed: int) -> str:
-    means = tables[1].set_index("metric")["mean"]
-    manifest = {
-        "files": {path.name: sha256(path) for path in sorted(folder.iterdir())},
-        "seed": seed,
-        "libsumo": version("libsumo"),
-        "rail-sumo": own_version(),
-        "evaluation": {metric: round(mean, 3) for metric, mean in means.items() if math.isfinite(mean)},
-    }
-    return json.dumps(manifest, indent=2) + "\n"

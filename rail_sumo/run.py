@@ -1,7 +1,10 @@
 """Train, evaluate, demonstrate: what the command line does, each in one call."""
 
 import itertools
+import json
+import math
 from collections.abc import Iterable, Mapping
+from importlib.metadata import version
 from pathlib import Path
 from typing import Any
 from urllib.parse import quote
@@ -13,7 +16,7 @@ import pyarrow.parquet as pq
 from rail_sumo import assets, config, drivers, metrics, report, training
 from rail_sumo.config import Config, dumps
 from rail_sumo.errors import InputError, did_you_mean
-from rail_sumo.files import check_file, check_folder
+from rail_sumo.files import check_file, check_folder, whole_file
 from rail_sumo.highway import varied
 from rail_sumo.highway.env import HighwayEnv
 from rail_sumo.highway.network import demand
@@ -76,12 +79,13 @@ def find_driver(policy: str, world: Config, mode: str = "default") -> Who:
     """
     if policy == report.EXPERT:  # read once here, not by a worker in every episode
         return drivers.load_expert(world)
-    if drivers.is_name(policy):
+    if drivers.is_name(policy) and policy not in drivers.SHIPPED:
         return policy
-    if (Path(policy) / assets.MANIFEST).is_file():
-        return drivers.load_expert(world, Path(policy))
-    _require_folder(Path(policy))
-    learned = RunDirectory(Path(policy)).policy()
+    folder = assets.driver(policy) if policy in drivers.SHIPPED else Path(policy)
+    if assets.is_expert(folder):
+        return drivers.load_expert(world, folder)
+    _require_folder(folder)
+    learned = RunDirectory(folder).policy()
     return learned if mode == "default" else learned.acting(mode)
 
 
@@ -225,6 +229,9 @@ def train(
     episodes = config.train.evaluation_episodes
     tables = evaluate(policies, config, episodes=episodes, seed=seed, workers=workers, observer=observer)
     report.write(out, episodes=tables[0], summary=tables[1], overwrite=True)
+    own = tables[1][tables[1]["policy"] == config.train.learner]
+    with whole_file(out / assets.MANIFEST) as partial:
+        partial.write_text(manifest(out, own.set_index("metric")["mean"], seed), encoding="utf-8")
     return tables
 
 
@@ -267,5 +274,23 @@ def _require_folder(policy: Path) -> None:
         raise InputError(
             f"policy '{policy}' is neither a run directory nor a driver{did_you_mean(str(policy), drivers.NAMES)}"
         )
-    if not (policy / assets.MANIFEST).is_file():
+    if not assets.is_expert(policy):
         RunDirectory(policy)
+
+
+def manifest(folder: Path, means: Mapping[str, float], seed: int) -> str:
+    """Return what tells how a driver's folder was made, as JSON.
+
+    Args:
+        folder: its files, whose SHA-256 it holds.
+        means: of the evaluation, by metric.
+        seed: of everything random.
+    """
+    written = {
+        "files": {path.name: assets.sha256(path) for path in sorted(folder.iterdir()) if path.name != assets.MANIFEST},
+        "seed": seed,
+        "libsumo": version("libsumo"),
+        "rail-sumo": assets.own_version(),
+        "evaluation": {metric: round(mean, 3) for metric, mean in means.items() if math.isfinite(mean)},
+    }
+    return json.dumps(written, indent=2) + "\n"

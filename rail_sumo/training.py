@@ -374,7 +374,11 @@ def demonstrations_of(config: Config) -> Demonstrations:
 
 def _demonstrations_file(config: Config) -> Path:
     name = config.train.demonstrations
-    return assets.expert(assets.EXPERT_DEMONSTRATIONS, config.train.expert_folder) if name == "expert" else Path(name)
+    return (
+        assets.expert(assets.EXPERT_DEMONSTRATIONS, assets.expert_folder(config.train.expert))
+        if name == "expert"
+        else Path(name)
+    )
 
 
 def inputs_of(config: Config) -> dict[str, str]:
@@ -399,4 +403,6 @@ def inputs_of(config: Config) -> dict[str, str]:
 
 def expert_input(config: Config) -> dict[str, str]:
     """Return the SHA-256 of the expert that a configuration names, by the key that names it."""
-    return {"train.expert": assets.sha256(assets.expert(assets.EXPERT_POLICY, config.train.expert_folder))}
+    return {
+        "train.expert": assets.sha256(assets.expert(assets.EXPERT_POLICY, assets.expert_folder(config.train.expert)))
+    }

@@ -219,6 +219,19 @@ POLICY_KEYS = "policy.hidden, policy.layers, policy.masked, policy.mode"
             "[traffic]\nspeed_low_kmh = 80\nspeed_high_kmh = 70",
             "traffic: speed_low_kmh 80.0 is above speed_high_kmh 70.0",
         ),
+        (
+            "[traffic]\nspeed_low_kmh = 'limit*0.9'",
+            "traffic: speed_low_kmh limit*0.9 is above speed_high_kmh limit*0.875",
+        ),
+        (
+            "[traffic]\nspeed_low_kmh = 'limit*2'",
+            "traffic.speed_low_kmh: Input should be a valid number or a share of the limit, up to 1, written "
+            "\"limit*0.7\", got 'limit*2'",
+        ),
+        (
+            "[varied]\nlorries = [0.3, 0.1]",
+            "varied.lorries: a range is written [lowest, highest]; 0.3 is above 0.1, got [0.3, 0.1]",
+        ),
         ("[lidar]\nroad_edges = 1", "lidar.road_edges: Input should be a valid boolean, got 1"),
         ("[lidar]\nn_rays = 0", "lidar.n_rays: Input should be greater than or equal to 1, got 0"),
         ("[lidar]\nmax_range_m = inf", "lidar.max_range_m: Input should be less than or equal to 500, got inf"),

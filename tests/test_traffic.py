@@ -312,3 +312,9 @@ def test_the_car_following_model_is_what_is_configured_and_decides_every_half_se
         accelerations.append([libsumo.vehicle.getAcceleration(name) for name in names])
     n_different = [len(set(of_one)) for of_one in np.round(accelerations, 6).T.tolist()]
     assert 2 < max(n_different) <= 11
+
+
+def test_desired_speeds_are_shares_of_the_limit_unless_they_are_numbers():
+    assert config.Traffic().desired_kmh(80.0) == (56.0, 70.0)  # the paper's world, to the last bit
+    assert config.Traffic(speed_low_kmh="limit*.5", speed_high_kmh=90.0).desired_kmh(120.0) == (60.0, 90.0)
+    assert config.Traffic(speed_low_kmh="limit*1", speed_high_kmh="limit*1").desired_kmh(120.0) == (120.0, 120.0)

@@ -81,7 +81,7 @@ def test_a_configuration_of_sumos_brings_its_own_demand(tmp_path):
     chosen = config.load(None, [named, "varied.own_demand=1", "varied.demand_scale=[0.5, 0.5]"])
     traffic = varied.draw(chosen, 0).traffic
     assert (traffic.begin_s, Path(*traffic.routes).name) == (100.0, "my.rou.xml")
-    assert traffic.options == ("time-to-teleport=100", "scale=1.5")
+    assert sorted(traffic.options) == ["scale=1.5", "time-to-teleport=100"]
     assert [path.name for path in varied.files_of(str(tmp_path / "my.sumocfg"))] == ["highway3.net.xml", "my.rou.xml"]
     assert drive(Task("keep", chosen.changed(episode={"duration_s": 5.0}), 1)).seed == 1
 
@@ -182,3 +182,18 @@ def test_lorries_are_as_many_as_the_share_says_long_and_no_faster_than_90_kmh():
         env.close()
     assert n > 200
     assert n_lorries / n == pytest.approx(0.4, abs=4 * math.sqrt(0.24 / n))
+
+
+@pytest.mark.parametrize("factor", [1.0, 1.5])
+def test_everybody_wants_to_drive_as_fast_as_the_limit_says(factor):
+    env = HighwayEnv(config.load(None, [f"network.limit_factor={factor}", "traffic.vehicles=40"]))
+    desired_kmh = []
+    try:
+        for seed in range(8):
+            env.reset(seed=seed)
+            others = set(libsumo.vehicle.getIDList()) - {env.host_name}
+            desired_kmh += [libsumo.vehicle.getMaxSpeed(name) * KMH for name in others]
+    finally:
+        env.close()
+    assert 56.0 * factor <= min(desired_kmh) < 57.0 * factor
+    assert 69.0 * factor < max(desired_kmh) <= 70.0 * factor

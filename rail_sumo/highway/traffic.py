@@ -55,6 +55,10 @@ class MovingWindow:
         self._road = road
         self._config = traffic
         self._host_start_m = host_s_m
+        # In whole km/h, as it is signposted: networks round it in m/s.
+        limit_kmh = round(min(road.highest_limit_mps, config.FASTEST_CAR_MPS) * KMH)
+        desired_kmh = traffic.desired_kmh(limit_kmh)
+        self._slowest_kmh, self._fastest_kmh = min(desired_kmh), max(desired_kmh)
         self._end_m = host_s_m + farthest_m + traffic.ahead_m
         self._rng = rng
         self._names = count()
@@ -136,7 +140,7 @@ class MovingWindow:
                 moves.append((lane, ahead_m[name]))
 
     def _draw_speed_mps(self) -> float:
-        return self._rng.uniform(self._config.speed_low_kmh, self._config.speed_high_kmh) / KMH
+        return self._rng.uniform(self._slowest_kmh, self._fastest_kmh) / KMH
 
     def _draw_lane(self, s_m: float) -> int:
         lanes = self._lanes(s_m)
