@@ -101,7 +101,7 @@ def train(
         started = RunDirectory(out)
         config_file = config_file or out / CONFIG
         seed = started.seed if seed is None else seed
-    chosen = config.load(config_file, _overrides(network, routes, overrides))
+    chosen = config.load(config_file, overrides_of(network, routes, overrides))
     n_workers = _workers(workers)
     try:
         with _bars() as bars:
@@ -150,7 +150,7 @@ def evaluate(
     if reference and reference not in policies:
         raise InputError(f"--reference {reference} is not among the policies: {', '.join(policies)}; name it there too")
     n_workers = _workers(workers)
-    world = run.world(policies, _overrides(network, routes, overrides))
+    world = run.world(policies, overrides_of(network, routes, overrides))
     who = {policy: run.find_driver(policy, world, mode) for policy in policies}
     with _bars() as bars:
         drive = partial(
@@ -209,7 +209,7 @@ def reproduce(
     from rail_sumo import reproduce
     from rail_sumo.experiment import Experiment
 
-    chosen = config.load(config_file, _overrides(network, routes, overrides))
+    chosen = config.load(config_file, overrides_of(network, routes, overrides))
     if cells and (seeds is not None or quick or workers):
         raise InputError("--cells makes tables of what was driven before: leave out --seeds, --quick and --workers")
     n_seeds = (2 if quick else 10) if seeds is None else seeds
@@ -244,7 +244,7 @@ def show_config(
     """Print every key with what it means and its value, as TOML; a file to start from."""
     from rail_sumo import training
 
-    chosen = config.load(config_file, _overrides(network, routes, overrides))
+    chosen = config.load(config_file, overrides_of(network, routes, overrides))
     training.learner_of(chosen)  # or there is none of that name
     print(config.explained(chosen), end="")
 
@@ -264,7 +264,7 @@ def train_expert(
 
     out = out or Path("runs", f"expert-seed{seed}")
     n_workers = _workers(workers)
-    world = config.load(config_file, _overrides(network, routes, overrides))
+    world = config.load(config_file, overrides_of(network, routes, overrides))
     with _bars() as observer:
         tables = expert.train(world, out, seed=seed, workers=n_workers, observer=observer)
     _show(tables, out)
@@ -286,7 +286,7 @@ def record(
     """Record what a driver sees and carries out, for `train.demonstrations` to learn from."""
     from rail_sumo import run
 
-    world = config.load(config_file, _overrides(network, routes, overrides))
+    world = config.load(config_file, overrides_of(network, routes, overrides))
     n_workers = _workers(workers)
     with _bars() as observer:
         demonstrations = run.demonstrate(
@@ -312,7 +312,7 @@ def check(
     """Tell where on a network rail-sumo would drive, and what may go wrong there."""
     from rail_sumo.highway import trial
 
-    found = trial.check(config.load(None, _overrides(file, routes, overrides)))
+    found = trial.check(config.load(None, overrides_of(file, routes, overrides)))
     if as_json:
         print(json.dumps(found.as_json, indent=2))
         return
@@ -326,6 +326,9 @@ def check(
         print(f"lanes end on: {_shortened(list(found.ending_lanes))}; the host leaves them in time")
     if found.host:
         print(f"host of the first episode: '{found.host}' of the demand, from {found.enters_s:.0f} s on")
+    if found.flows_vehph:
+        least, most = (f"{limit(found.flows_vehph.values()):,.0f}" for limit in (min, max))
+        print(f"traffic in the host's first minute: {least} to {most} vehicles per hour, by the edge of its course")
     for warning in found.warnings:
         print(f"warning: {warning}")
 
@@ -339,7 +342,7 @@ def list_networks() -> None:
         print(_describe(road.load(name)))
 
 
-def _overrides(network: str | None, routes: list[str] | None, overrides: list[str] | None) -> list[str]:
+def overrides_of(network: str | None, routes: list[str] | None, overrides: list[str] | None) -> list[str]:
     """Return the options that choose a world as overrides of the configuration."""
     world: dict[str, Any] = {}
     if network and is_configuration(Path(network)):

@@ -55,7 +55,7 @@ def lay_out(folder):
     (folder / "cut" / "clone.safetensors").write_bytes(b"\x08")
 
 
-DRIVERS = "(available: expert, keep, random, rule, sumo)"
+DRIVERS = "(available: expert, keep, rail, random, road-expert, road-rail, rule, sumo)"
 
 BAD = {
     "train none.toml": "cannot read configuration 'none.toml': No such file or directory (current folder: ",

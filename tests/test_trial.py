@@ -64,3 +64,19 @@ def test_all_of_it_is_plain_json(soon_narrow):
     assert (first["id"], first["lanes"], first["ending_lanes"]) == ("wide", 3, [0])
     assert (told["host"], told["signals"], told["is_loop"], told["is_left_hand"]) == (None, 0, False, False)
     assert any(text.startswith("the road ends") for text in told["warnings"])
+
+
+def test_the_flow_along_the_course_is_the_demands(tmp_path):
+    """A vehicle every 5 s, each as fast as the other, is 720 an hour wherever the road is full of them."""
+    path = tmp_path / "even.rou.xml"
+    path.write_text(
+        '<routes><vType id="even" sigma="0" speedDev="0" carFollowModel="Krauss"/>'
+        '<flow id="f" type="even" begin="0" end="2000" period="5" departSpeed="max">'
+        '<route edges="highway"/></flow></routes>'
+    )
+    found = trial.check(
+        world(network={"file": "highway3"}, traffic={"routes": [str(path)], "begin_s": 0.0, "warm_up_s": 500.0})
+    )
+    assert found.flows_vehph == {"highway": pytest.approx(720.0, rel=0.02)}
+    assert found.as_json["edges"][0]["flow_vehph"] == round(found.flows_vehph["highway"])
+    assert trial.check(world()).flows_vehph == {}

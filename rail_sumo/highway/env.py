@@ -312,6 +312,11 @@ class HighwayEnv(gymnasium.Env[Floats, np.int64]):
         return not any(map(simulation.heads_for_course, simulation.on_road() - {simulation.host.name}))
 
     @property
+    def flows_vehph(self) -> dict[str, float]:
+        """The flow on every edge of the course now, see `Simulation.flows_vehph`."""
+        return self._under_way().flows_vehph()
+
+    @property
     def is_changing_lane(self) -> bool:
         """Whether a lane change is under way."""
         return self._adas.changing_lane

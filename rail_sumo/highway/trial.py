@@ -1,8 +1,9 @@
 """A world tried for a moment: what the host would drive, and what may go wrong, before anybody drives for hours."""
 
 import math
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
+from statistics import fmean
 from typing import Any
 
 from rail_sumo.config import FASTEST_CAR_MPS, Config
@@ -10,7 +11,10 @@ from rail_sumo.highway.env import HighwayEnv
 from rail_sumo.highway.network import demand, road
 from rail_sumo.highway.network.road import Road
 from rail_sumo.highway.stretch import Stretch
-from rail_sumo.records import KMH
+from rail_sumo.records import KMH, MetaAction
+
+WATCHED_DECISIONS = 60
+"""For how many decisions the traffic is watched: a minute, unless `episode.decision_period_s` says otherwise."""
 
 
 @dataclass(frozen=True)
@@ -25,6 +29,8 @@ class Findings:
     """When it enters, in SUMO's time."""
     n_signals: int
     """How many traffic lights are on its way."""
+    flows_vehph: Mapping[str, float]
+    """Vehicles per hour on every edge of the course in the host's first minute; empty of made traffic."""
     warnings: tuple[str, ...]
     """What may go wrong."""
 
@@ -60,6 +66,7 @@ class Findings:
                     "lanes": edge.n_lanes,
                     "limit_kmh": round(min(edge.limit_mps, FASTEST_CAR_MPS) * KMH, 1),
                     "ending_lanes": self.ending_lanes.get(edge.id, []),
+                    "flow_vehph": round(self.flows_vehph[edge.id]) if self.flows_vehph else None,
                 }
                 for edge in self.road.edges
             ],
@@ -77,15 +84,27 @@ def check(world: Config) -> Findings:
     try:
         env.reset(seed=0)
         warnings = [*_shortness(env), *road.warnings(env.stretch.road), *demand.warnings(env.demand), *_solitude(env)]
+        host, enters_s, n_signals = env.host_name, env.scene.time_s, env.n_signals_ahead
         return Findings(
             env.stretch.road,
-            host=env.host_name if env.is_one_of_the_demand else "",
-            enters_s=env.scene.time_s,
-            n_signals=env.n_signals_ahead,
+            host=host if env.is_one_of_the_demand else "",
+            enters_s=enters_s,
+            n_signals=n_signals,
+            flows_vehph=_flows_vehph(env) if env.demand.has_traffic else {},
             warnings=tuple(warnings),
         )
     finally:
         env.close()
+
+
+def _flows_vehph(env: HighwayEnv) -> dict[str, float]:
+    """Drive on, and return the mean flow on every edge of the course."""
+    seen = [env.flows_vehph]
+    while not env.is_over and len(seen) <= WATCHED_DECISIONS:
+        env.drive(MetaAction.KEEP)
+        if not env.is_over:
+            seen.append(env.flows_vehph)
+    return {edge: fmean(flows[edge] for flows in seen) for edge in seen[0]}
 
 
 def _shortness(env: HighwayEnv) -> Iterator[str]:
