@@ -35,6 +35,13 @@ def network(name_or_path: str) -> Path:
     return _find("network", name_or_path, NETWORK_SUFFIX, "networks")
 
 
+def absolute(name_or_path: str) -> str:
+    """Return the absolute path of a file that is there; what goes by a name of ours stays as it is."""
+    path = Path(name_or_path)
+    is_a_name = name_or_path in (*network_names(), *routes_names(), *SHIPPED_EXPERTS, "shipped")
+    return name_or_path if is_a_name or not path.exists() else str(path.absolute())
+
+
 def network_name(name_or_path: str) -> str:
     """Return what tables call a network: its file's name without the suffix."""
     return Path(name_or_path).name.removesuffix(".gz").removesuffix(NETWORK_SUFFIX)

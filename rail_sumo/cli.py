@@ -152,25 +152,32 @@ def evaluate(
     n_workers = _workers(workers)
     world = run.world(policies, overrides_of(network, routes, overrides))
     who = {policy: run.find_driver(policy, world, mode) for policy in policies}
-    with _bars() as bars:
-        drive = partial(
-            run.evaluate,
-            who,
-            world,
-            episodes=episodes,
-            seed=seed,
-            workers=n_workers,
-            observer=bars,
-            reference=reference or "expert",
-        )
-        if out and fcd:
-            with files.whole_folder(out, overwrite=overwrite) as whole:
-                tables = drive(fcd=whole / FCD)
-                report.save(whole, episodes=tables[0], summary=tables[1])
-        else:
-            tables = drive()
-            if out:
-                report.write(out, episodes=tables[0], summary=tables[1], overwrite=overwrite)
+    try:
+        with _bars() as bars:
+            drive = partial(
+                run.evaluate,
+                who,
+                world,
+                episodes=episodes,
+                seed=seed,
+                workers=n_workers,
+                observer=bars,
+                reference=reference or "expert",
+            )
+            if out and fcd:
+                with files.whole_folder(out, overwrite=overwrite) as whole:
+                    tables = drive(fcd=whole / FCD)
+                    report.save(whole, episodes=tables[0], summary=tables[1])
+            else:
+                tables = drive()
+                if out:
+                    report.write(out, episodes=tables[0], summary=tables[1], overwrite=overwrite)
+    except run.Interrupted as stop:
+        if out:
+            report.write(out, episodes=stop.tables[0], summary=stop.tables[1], overwrite=overwrite)
+        _show(stop.tables, out)
+        print(f"rail-sumo: interrupted after {len(stop.tables[0])} of {stop.episodes} episodes", file=sys.stderr)
+        raise typer.Exit(130) from None
     _show(tables, out)
 
 

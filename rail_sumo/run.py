@@ -46,6 +46,15 @@ Tables = tuple[pd.DataFrame, pd.DataFrame]
 """The `episodes` table and its `summary`."""
 
 
+class Interrupted(KeyboardInterrupt):
+    """Ctrl-C while episodes were driven: the tables of those that are done, and how many there were to be."""
+
+    def __init__(self, tables: Tables, episodes: int) -> None:
+        super().__init__()
+        self.tables = tables
+        self.episodes = episodes
+
+
 def world(policies: Iterable[str], overrides: Iterable[str] = ()) -> Config:
     """Return the world to evaluate in: the first run directory's among the policies, with `overrides` on top.
 
@@ -117,6 +126,7 @@ def evaluate(
     figures, and the summary leaves it out.
 
     Raises:
+        Interrupted: by Ctrl-C; it holds the tables of the episodes that are done.
         InputError: fewer than one episode, a network or demand in which none could be driven, or floating-car data that
             cannot be written.
     """
@@ -138,19 +148,28 @@ def evaluate(
     ]
     rows: list[dict[str, Any]] = []
     undriven: list[tuple[str, int, str]] = []
-    for (name, episode), driven in zip(labels, attempt_all("eval", tasks, workers, observer), strict=True):
-        if isinstance(driven, Undriven):
-            undriven.append((name, episode, driven.why))
-            told: dict[str, Any] = {"seed": driven.seed, "network": network, "end_reason": driven.end_reason}
-        else:
-            told = metrics.row(driven, world.adas)
-        rows.append({"policy": name, "episode": episode, **told})
+    try:
+        for (name, episode), driven in zip(labels, attempt_all("eval", tasks, workers, observer), strict=True):
+            if isinstance(driven, Undriven):
+                undriven.append((name, episode, driven.why))
+                told: dict[str, Any] = {"seed": driven.seed, "network": network, "end_reason": driven.end_reason}
+            else:
+                told = metrics.row(driven, world.adas)
+            rows.append({"policy": name, "episode": episode, **told})
+    except KeyboardInterrupt:
+        if len(rows) > len(undriven):
+            raise Interrupted(_tables(rows, reference), len(labels)) from None
+        raise
     if len(undriven) == len(labels):
         raise InputError(undriven[0][-1])
     for name, episode, why in undriven:
         observer.note(f"{name} did not drive episode {episode}: {why}")
     if fcd:
         _require_whole(fcd)
+    return _tables(rows, reference)
+
+
+def _tables(rows: list[dict[str, Any]], reference: str) -> Tables:
     table = report.episodes(rows)
     return table, report.summary(table, reference)
 

@@ -52,14 +52,14 @@ def learn(
     Raises:
         InputError: as in `run.train`.
     """
-    config = resolved(config)
+    given, config = config, resolved(config)
     require_loss(config)
     run = RunDirectory(out) if resume else None
     if run is None:
         require_new(out)
     if learner_of(config).asks_the_expert:
         drivers.require_same_senses(drivers.load_expert(config), config, "the expert, who is to be asked,")
-    demonstrations = demonstrations_of(config)
+    demonstrations = demonstrations_of(given)
     inputs = inputs_of(config)
     if run is None:
         run = RunDirectory.create(out, config, seed, inputs, _start(config, demonstrations, seed))
@@ -264,7 +264,7 @@ def require_loss(config: Config) -> None:
 
 
 def resolved(config: Config) -> Config:
-    """Return the configuration with what its learner's defaults stand for written out: iterations and mode.
+    """Return the configuration as a run keeps it: iterations and mode written out, and files by their absolute paths.
 
     Raises:
         InputError: there is no such learner, or it has no iterations and some are wanted.
@@ -273,8 +273,18 @@ def resolved(config: Config) -> Config:
     iterations, mode = config.train.iterations, config.policy.mode
     if not learner.iterations and iterations not in ("default", 0):
         raise InputError(f"learner '{config.train.learner}' has no iterations, got {iterations}; leave them out")
+    given = config.train
     return config.changed(
-        train={"iterations": learner.iterations if iterations == "default" else iterations},
+        network={"file": assets.absolute(config.network.file)},
+        traffic={name: tuple(map(assets.absolute, getattr(config.traffic, name))) for name in ("routes", "additional")},
+        varied={"networks": tuple(map(assets.absolute, config.varied.networks))},
+        train={
+            "iterations": learner.iterations if iterations == "default" else iterations,
+            "expert": assets.absolute(given.expert),
+            "demonstrations": given.demonstrations
+            if given.demonstrations == "expert"
+            else assets.absolute(given.demonstrations),
+        },
         policy={"mode": (SAMPLED if learner.samples else ARGMAX) if mode == "default" else mode},
     )
 

@@ -6,7 +6,7 @@ import numpy as np
 import pandas as pd
 import pytest
 
-from rail_sumo import assets, cli, config, expert, run
+from rail_sumo import assets, cli, config, expert, rollout, run
 from rail_sumo.errors import InputError
 from rail_sumo.highway.observation import feature_names
 from rail_sumo.policy import PolicyParameters, Shape, Whitening
@@ -274,6 +274,26 @@ def test_interrupted_training_says_how_to_go_on(rail_sumo, monkeypatch, tmp_path
     assert code == 130
     hint = "rail-sumo: interrupted; go on with: rail-sumo train --out runs/default-seed3 --resume"
     assert err.splitlines()[-1] == hint
+
+
+def test_interrupted_evaluation_leaves_the_tables_of_what_is_done(rail_sumo, monkeypatch, tmp_path):
+    drive, driven = rollout.drive, []
+
+    def drive_until(task):
+        driven.append(task)
+        if len(driven) == 4:
+            raise KeyboardInterrupt
+        return drive(task)
+
+    monkeypatch.setattr(rollout, "drive", drive_until)
+    arguments = ("eval", "keep", "rule", "--episodes", "2", "--out", "out", *SHORT)
+    code, out, err = rail_sumo(*arguments)
+    assert (code, err.splitlines()[-1]) == (130, "rail-sumo: interrupted after 3 of 4 episodes")
+    assert "tables in out" in out
+    kept = pd.read_csv(tmp_path / "out" / "episodes.csv")
+    monkeypatch.setattr(rollout, "drive", drive)
+    assert rail_sumo(*arguments, "--overwrite")[0] == 0
+    pd.testing.assert_frame_equal(kept, pd.read_csv(tmp_path / "out" / "episodes.csv").iloc[:3])
 
 
 def test_networks_are_listed_with_their_length_and_lanes(rail_sumo):

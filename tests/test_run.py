@@ -4,6 +4,7 @@ import json
 import math
 import multiprocessing
 import os
+import shutil
 import signal
 from pathlib import Path
 
@@ -13,7 +14,7 @@ import pytest
 from safetensors import safe_open
 from safetensors.numpy import load_file, save_file
 
-from rail_sumo import config, drivers, report, rollout, run, training
+from rail_sumo import assets, config, drivers, report, rollout, run, training
 from rail_sumo.errors import InputError, NotBegun
 from rail_sumo.highway.reward import total_reward
 from rail_sumo.highway.simulation import HOST
@@ -301,6 +302,28 @@ def test_a_policy_drives_anywhere_with_its_own_senses_unless_others_are_asked_fo
     assert run.find_driver(str(trained), config.Config()).senses.lidar.n_rays == N_FEATURES // 2
     with pytest.raises(InputError, match=r"was trained with lidar\.n_rays = 4, not 24; leave \[lidar\] and"):
         run.world(["keep", str(trained)], ["lidar.n_rays=24"])
+
+
+def test_a_run_knows_its_files_from_any_folder(small, driven, tmp_path, monkeypatch):
+    (tmp_path / "there").mkdir()
+    (tmp_path / "elsewhere").mkdir()
+    for name, text in {"my.net.xml": assets.network("highway3").read_text(), "my.rou.xml": "<routes/>"}.items():
+        (tmp_path / "there" / name).write_text(text)
+    shutil.copy(small.train.demonstrations, tmp_path / "there" / "mine.parquet")
+    own = small.changed(
+        network={"file": "my.net.xml"},
+        traffic={"routes": ("my.rou.xml",)},
+        varied={"networks": ("ring5",)},
+        train={"demonstrations": "mine.parquet"},
+    )
+    monkeypatch.chdir(tmp_path / "there")
+    run.train(own, Path("run"), seed=1)
+    run.train(own, Path("run"), seed=1, resume=True)
+    monkeypatch.chdir(tmp_path / "elsewhere")
+    world = run.world(["../there/run"])
+    assert world.varied.networks == ("ring5",)
+    training.inputs_of(world)  # all are found
+    run.train(world, Path("../there/run"), seed=1, resume=True)
 
 
 @pytest.mark.parametrize("file", [POLICY, CLONE, CHECKPOINT])
