@@ -11,6 +11,9 @@ from pathlib import Path
 
 LANE_WIDTH_M = 3.5
 SAGITTA_M = 0.1  # as far as an arc leaves the chords that stand for it
+JUNCTION_M = (
+    4.0  # of road between two edges; left to netconvert it may be no longer than the rounding, and look anywhere
+)
 
 
 @dataclass(frozen=True)
@@ -94,10 +97,18 @@ class Pen:
         return f"{self.x_m:.2f},{self.y_m:.2f}"
 
 
-def node(k: int, last: int, point: str) -> str:
-    """Return the node before section k + 1."""
-    x, y = point.split(",")
-    return f'<node id="n{k}" x="{x}" y="{y}" type="{"priority" if 0 < k < last else "dead_end"}"/>'
+def end(k: int, pen: Pen) -> str:
+    """Return the node at either end of the course, before section k + 1."""
+    return f'<node id="n{k}" x="{pen.x_m:.2f}" y="{pen.y_m:.2f}" type="dead_end"/>'
+
+
+def joint(k: int, pen: Pen, n_lanes: int) -> str:
+    """Return the node between two sections, before section k + 1: a rectangle across the road."""
+    ahead_m, left_m = JUNCTION_M / 2, n_lanes * LANE_WIDTH_M / 2
+    cos, sin = math.cos(pen.heading_rad), math.sin(pen.heading_rad)
+    corners = ((ahead_m, left_m), (ahead_m, -left_m), (-ahead_m, -left_m), (-ahead_m, left_m))
+    shape = " ".join(f"{pen.x_m + a * cos - b * sin:.2f},{pen.y_m + a * sin + b * cos:.2f}" for a, b in corners)
+    return f'<node id="n{k}" x="{pen.x_m:.2f}" y="{pen.y_m:.2f}" type="priority" shape="{shape}"/>'
 
 
 def edge(k: int, n_lanes: int, section: Section, shape: Iterable[str]) -> str:
@@ -117,11 +128,10 @@ def write(name: str, kind: str, root: str, elements: list[str]) -> None:
 if __name__ == "__main__":
     for name, (n_lanes, sections) in HIGHWAYS.items():
         pen = Pen()
-        ends = [pen.point()]
-        edges = []
+        nodes, edges = [end(0, pen)], []
         for k, section in enumerate(sections):
-            shape = [ends[-1], *itertools.chain.from_iterable(map(pen.draw, section.parts))]
-            ends.append(shape[-1])
+            shape = [pen.point(), *itertools.chain.from_iterable(map(pen.draw, section.parts))]
             edges.append(edge(k, n_lanes, section, shape))
-        write(name, "nod", "nodes", [node(k, len(sections), point) for k, point in enumerate(ends)])
+            nodes.append(joint(k + 1, pen, n_lanes) if k + 1 < len(sections) else end(k + 1, pen))
+        write(name, "nod", "nodes", nodes)
         write(name, "edg", "edges", edges)
