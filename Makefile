@@ -6,7 +6,7 @@ OUT ?= runs/first
 ARGS ?=
 
 BIN = $(VENV)/bin
-NETWORKS = networks/highway3.net.xml networks/highway5.net.xml networks/ring5.net.xml
+NETWORKS = $(patsubst %,networks/%.net.xml,arterial highway2 highway3 highway4 highway5 highway6 lane_drop onramp ring5)
 
 .PHONY: setup train test lint networks clean
 
@@ -28,6 +28,7 @@ lint: setup
 # Rebuild the committed networks from their sources. The header that netconvert writes (a date, absolute paths) is cut.
 networks: $(VENV)/netconvert
 	$(PYTHON) networks/ring5/circle.py
+	$(PYTHON) networks/bends.py
 	$(MAKE) --always-make $(NETWORKS)
 
 networks/%.net.xml:

@@ -32,20 +32,19 @@ def package(tmp_path, monkeypatch):
     assets.data_root.cache_clear()
 
 
-def test_three_networks_are_shipped_and_each_has_a_demand_example():
-    assert assets.network_names() == ("highway3", "highway5", "ring5")
-    assert [assets.routes(name).name for name in assets.network_names()] == [
-        "highway3.rou.xml",
-        "highway5.rou.xml",
-        "ring5.rou.xml",
-    ]
+SHIPPED = ("arterial", "highway2", "highway3", "highway4", "highway5", "highway6", "lane_drop", "onramp", "ring5")
+
+
+def test_nine_networks_are_shipped_and_each_has_a_demand_example():
+    assert assets.network_names() == SHIPPED
+    assert [assets.routes(name).name for name in SHIPPED] == [f"{name}.rou.xml" for name in SHIPPED]
 
 
 def test_a_misspelt_network_gets_a_suggestion():
-    message = "network 'straigth3' not found (available: highway3, highway5, ring5)"
+    message = f"network 'straigth3' not found (available: {', '.join(SHIPPED)})"
     with pytest.raises(InputError, match=f"^{re.escape(message)}$"):
         assets.network("straigth3")
-    message = "network 'higway3' not found; did you mean 'highway3'? (available: highway3, highway5, ring5)"
+    message = f"network 'higway3' not found; did you mean 'highway3'? (available: {', '.join(SHIPPED)})"
     with pytest.raises(InputError, match=f"^{re.escape(message)}$"):
         assets.network("higway3")
 

@@ -94,7 +94,7 @@ BAD = {
     "train --set train.expert=none": "no expert here: 'none/manifest.json' is missing; train one (rail-sumo expert tr",
     "eval keep --fcd": "--fcd writes into the folder of --out; name one",
     "eval keep --workers ray --fcd --out new": "floating-car data are written on this machine: drive with a number of",
-    "eval keep --network highwy5": "network 'highwy5' not found; did you mean 'highway5'? (available: highway3, ",
+    "eval keep --network highwy5": "network 'highwy5' not found; did you mean 'highway5'? (available: arterial, ",
     "eval keep --network none.net.xml": "network file 'none.net.xml' does not exist (current folder: ",
     "eval keep --network none.sumocfg": "network file 'none.sumocfg' does not exist (current folder: ",
     "eval keep --network cut.sumocfg": "cannot read 'cut.sumocfg': ",

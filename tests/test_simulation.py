@@ -26,7 +26,7 @@ DECIDES_EVERY_STEP = "DEFAULT_VEHTYPE"
 """SUMO's own type of vehicle: the made traffic's would obey a script every 0.5 s only."""
 
 EXPRESSWAY = str(Path(__file__).with_name("expressway.net.xml"))
-"""Five lanes and a limit of 130 km/h: the shipped networks' 80 km/h is too slow for UN R157's cut-ins."""
+"""Five lanes and a limit of 130 km/h: highway5's 80 km/h is too slow for UN R157's cut-ins."""
 FAST = config.Adas(max_speed_kmh=130.0, start_speed_kmh=60.0)
 
 
