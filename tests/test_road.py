@@ -153,6 +153,22 @@ def test_a_chain_joins_its_edges_borders_without_a_gap(network):
     )
 
 
+def test_a_joint_without_extent_leaves_the_border_straight(network):
+    """netconvert writes internal lanes whose points coincide; in the middle of a lane they are no border."""
+    inside = '<lane id=":j_0_0" index="0" speed="30" length="0.10" shape="100,0 100,0"/>'
+    through = (
+        '<connection from="a" to="b" fromLane="0" toLane="0" via=":j_0_0" dir="s" state="M"/>'
+        '<connection from=":j_0" to="b" fromLane="0" toLane="0" dir="s" state="M"/>'
+    )
+    file = network(
+        f'<edge id=":j_0" function="internal">{inside}</edge>',
+        edge("a", lanes=1),
+        edge("b", lanes=1, x=(100.0, 200.0)),
+        through,
+    )
+    assert set(road.load(file).boundaries[:, [1, 3]].ravel()) == {-1.6, 1.6}
+
+
 def test_the_way_through_a_junction_counts_and_has_borders(network):
     # Through the junction the road swerves to the left: along (3, 4) and back along (3, -4), 10 m of road over 6 m.
     inside = "".join(

@@ -10,6 +10,7 @@ from driving import EMPTY, world
 from rail_sumo import assets
 from rail_sumo.highway import trial
 from rail_sumo.highway.network import road
+from rail_sumo.rollout import EVALUATION, Task, drive, traffic_seed
 
 KMH = 3.6
 INF = math.inf
@@ -151,3 +152,15 @@ def test_shipped_demand_flows(name):
     assert mishaps == 0
     assert 40 < np.mean(on_the_road) < 120
     assert np.mean(of_limit) > slowest
+
+
+@pytest.mark.parametrize("seed", [traffic_seed(0, EVALUATION, 0), traffic_seed(0, EVALUATION, 1)])
+def test_turning_left_the_host_comes_comfortably_to_where_it_waits_within_the_junction(seed):
+    turning = world(
+        network={"file": "arterial", "course": ("east1", "market_north_out")},
+        traffic={"routes": ("arterial",), "host": "added"},
+        episode={"course_m": math.inf, "duration_s": 240.0},
+    )
+    driven = drive(Task("rule", turning, seed))
+    assert -np.diff(driven.speed_mps).min() / 0.1 < 3.0  # 9 m/s² while that place was overlooked
+    assert driven.end_reason == "end of road"  # it has turned

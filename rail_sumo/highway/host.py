@@ -234,11 +234,14 @@ class Host:
         """Return the ways without priority that the host may have to brake for by now, the nearest first."""
         if not self._meets_others:
             return []
-        ahead_m = _to_lane_end_m(self.name)
-        on_junction = libsumo.vehicle.getLaneID(self.name).startswith(":")
-        if on_junction and (edge_after := self._next_edge()):  # SUMO's list begins beyond it
-            ahead_m += edge_after.length_m
+        ahead_m, lane_id = _to_lane_end_m(self.name), libsumo.vehicle.getLaneID(self.name)
         found, entered = [], ""
+        if lane_id.startswith(":"):
+            for _, _, is_open, _, via, *_ in libsumo.lane.getLinks(lane_id):
+                if via:  # within the junction the host may have to wait once more, as when it turns left
+                    found.append(GiveWay(ahead_m, is_open, self._junction_sight_m.get(via, SIGHT_M)))
+            if edge_after := self._next_edge():  # SUMO's list begins beyond it
+                ahead_m += edge_after.length_m
         for lane, has_priority, is_open, _, via, state, _, inside_m in libsumo.vehicle.getNextLinks(self.name):
             if ahead_m > self._heeds_m:
                 break

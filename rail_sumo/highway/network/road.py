@@ -340,6 +340,8 @@ def _border(net: Any, edges: list[Any], joints: list[list[Any]], is_loop: bool, 
             shape = np.array(lane.getShape(), dtype=np.float64)
             if not len(shape):
                 raise InputError(f"network: lane '{lane.getID()}' has no shape; build the network anew by netconvert")
+            if len(_distinct(shape)) == 1 and lane.getID().startswith(":"):
+                continue  # without extent it has no side: its point is in the middle of the lane, not at its border
             if mirrored:
                 shape[:, 1] *= -1.0
             points.extend(offset(shape, sign * lane.getWidth() / 2))
