@@ -71,6 +71,8 @@ class Recording:
     arguments: list[str] = field(default_factory=list)
     orders: list[tuple[str, str, tuple[Any, ...], dict[str, Any]]] = field(default_factory=list)
     """(domain, function, positional and keyword arguments) of each."""
+    n_before: int = 0
+    """How many of them came before the host drove."""
     end: dict[str, tuple[float, float]] = field(default_factory=dict)
 
     @property
@@ -90,7 +92,7 @@ def positions(api: Any) -> dict[str, tuple[float, float]]:
     return {name: api.vehicle.getPosition(name) for name in api.vehicle.getIDList()}
 
 
-def record(task: Task) -> Recording:
+def record(task: Task, how: Callable[[Task, Recording], Any] = lambda task, _: drive(task)) -> Recording:
     """Drive an episode and write down all that changes what SUMO does; asking and watching change nothing."""
     recording = Recording()
 
@@ -117,7 +119,7 @@ def record(task: Task) -> Recording:
                 patches.enter_context(watch(domain, function))
         patches.enter_context(mock.patch.object(libsumo, "start", start))
         patches.enter_context(mock.patch.object(libsumo, "close", close))
-        drive(task)
+        how(task, recording)
     return recording
 
 
@@ -127,15 +129,17 @@ def changes_something(function: str) -> bool:
 
 
 def replay(recording: Recording) -> float:
-    """Step SUMO through a recording and nothing else; returns the seconds it took, without loading.
+    """Step SUMO through a recording and nothing else; returns the seconds it took, from the host's entry on.
 
     Raises:
         RuntimeError: the vehicles did not end where they were: it was not the same traffic.
     """
     libsumo.start(["sumo", *recording.arguments])
     orders = [partial(getattr(getattr(libsumo, d), f), *args, **kwargs) for d, f, args, kwargs in recording.orders]
+    for order in orders[: recording.n_before]:
+        order()
     started = time.perf_counter()
-    for order in orders:
+    for order in orders[recording.n_before :]:
         order()
     seconds = time.perf_counter() - started
     end = positions(libsumo)

@@ -142,7 +142,7 @@ def test_a_demand_that_ends_within_the_warm_up_is_entered_while_it_departs(make,
 @pytest.mark.parametrize(
     ("changes", "said"),
     [
-        ({"host": "car7"}, "^vehicle 'car7' of traffic.host not departed by"),
+        ({"host": "car7"}, "^vehicle 'car7', which traffic.host names, has not departed by"),
         ({"warm_up_s": 395.0}, "^no car that the host could replace departed by .* depart from 0 s to 390 s: change "),
         ({"begin_s": 5000.0}, "^no car that the host could replace departed by .* depart from 0 s to 390 s: change "),
     ],
@@ -158,7 +158,9 @@ def test_a_named_vehicle_whose_route_cannot_be_driven_or_that_never_comes_is_tol
     with pytest.raises(InputError, match=r"^vehicle 'v0' does not drive along network\.course; "):
         make(world(network={"file": path, "course": ["highway"]}, traffic=traffic)).reset(seed=0)
     endless = '<flow id="f" begin="0" period="600"><route edges="highway"/></flow>'
-    with pytest.raises(InputError, match=r"^vehicle 'g\.1' of traffic\.host not departed by 72.. s; .* from 0 s on: "):
+    with pytest.raises(
+        InputError, match=r"^vehicle 'g\.1', which traffic\.host names, has not departed by 72.. s; .* from 0 s on: "
+    ):
         make(on_highway3(demand(tmp_path, endless) | {"host": "g.1"})).reset(seed=0)
 
 

@@ -83,9 +83,13 @@ def _stretch(car: Inserted, config: Config) -> Stretch:
 def _nobody(config: Config, now_s: float, first_s: float, last_s: float) -> str:
     until = "on" if math.isinf(last_s) else f"to {last_s:.0f} s"
     asked = config.traffic.host
-    what = "no car that the host could replace" if asked == "replaces" else f"vehicle '{asked}' of traffic.host not"
+    by_now = (
+        "no car that the host could replace departed"
+        if asked == "replaces"
+        else f"vehicle '{asked}', which traffic.host names, has not departed"
+    )
     along = " along network.course" if config.network.course else ""
     return (
-        f"{what} departed{along} by {now_s:.0f} s; the demand's vehicles depart from {first_s:.0f} s {until}: change "
+        f"{by_now}{along} by {now_s:.0f} s; the demand's vehicles depart from {first_s:.0f} s {until}: change "
         f"traffic.begin_s, or set traffic.host to 'added' or to a car's id"
     )

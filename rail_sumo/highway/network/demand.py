@@ -12,7 +12,14 @@ from rail_sumo import assets, config
 from rail_sumo.errors import InputError
 from rail_sumo.highway.names import OURS
 from rail_sumo.highway.network import sumocfg
-from rail_sumo.highway.network.sumo_xml import UNKNOWN_ENCODING, UNREADABLE, opened, seconds, state_of
+from rail_sumo.highway.network.sumo_xml import (
+    UNKNOWN_ENCODING,
+    UNREADABLE,
+    is_configuration,
+    opened,
+    seconds,
+    state_of,
+)
 
 TRAFFIC_ELEMENTS = ("vehicle", "flow", "trip")
 """Elements that put somebody on the road."""
@@ -189,7 +196,8 @@ def _content(path: Path, state: tuple[int, int]) -> _Content:
     except (*UNREADABLE, *UNKNOWN_ENCODING) as error:
         raise InputError(f"'{path}' is not a complete XML file: {error}") from None
     if not is_known:
-        raise InputError(f"'{path}' holds <{root}>, which is no traffic of SUMO's; give a .rou.xml or an .add.xml")
+        instead = "give it to --network" if is_configuration(path) else "give a .rou.xml or an .add.xml"
+        raise InputError(f"'{path}' holds <{root}>, which is no traffic of SUMO's; {instead}")
     if too_dense:
         raise InputError(
             f"'{path}': flow '{too_dense}' has over {DENSEST_FLOW_PER_S:.0f} vehicles a second; correct its number, "
