@@ -22,7 +22,7 @@ import pandas as pd
 import variants
 from scipy import stats
 
-from rail_sumo import config, rollout, run, training
+from rail_sumo import config, config_file, rollout, run, training
 from rail_sumo.imitation import rail
 from rail_sumo.imitation.random_search import RandomSearch
 from rail_sumo.run_directory import RunDirectory
@@ -113,7 +113,7 @@ def train(this: Training) -> pd.DataFrame:
     """Train with the choices taken; a row for the last policy and one for its clone, and for RAIL's average theta."""
     choices = CHOICES[this.learner]
     overrides = [choice.override for choice in choices if choice.name in this.taken and choice.override]
-    world = config.load(None, [*overrides, f"train.learner={this.learner}"])
+    world = config_file.load(None, [*overrides, f"train.learner={this.learner}"])
     with tempfile.TemporaryDirectory() as folder:
         policies = (_rail if this.learner == "rail" else _gail)(this, world, Path(folder) / "run")
     table, _ = run.evaluate(

@@ -19,7 +19,7 @@ from unittest import mock
 
 import libsumo
 
-from rail_sumo import config
+from rail_sumo import config_file
 from rail_sumo.highway import env
 from rail_sumo.highway.adas import LATE_LATERAL_M
 from rail_sumo.highway.simulation import HOST, Simulation
@@ -84,7 +84,7 @@ def main() -> None:
     parser.add_argument("--seed", type=int, default=1811)
     parser.add_argument("--set", action="append", default=[], help="section.key=value, as in rail-sumo eval")
     given = parser.parse_args()
-    world = config.load(overrides=["episode.course_m=inf", "episode.duration_s=300", *given.set])
+    world = config_file.load(overrides=["episode.course_m=inf", "episode.duration_s=300", *given.set])
     seeds = [traffic_seed(given.seed, EVALUATION, number) for number in range(given.episodes)]
     disagreeing, heading = 0, ""
     with workers(2) as pool:

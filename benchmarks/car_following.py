@@ -15,7 +15,7 @@ import libsumo
 from rich.console import Console
 from rich.table import Table
 
-from rail_sumo import config
+from rail_sumo import config_file
 from rail_sumo.config import Config, Traffic
 from rail_sumo.highway import env
 from rail_sumo.highway.hard_braking import hard_brakings
@@ -63,7 +63,7 @@ def main() -> None:
     table = Table("model", "host", "hard brakings / vehicle-hour", "contacts", "µs a step")
     for model in get_args(Traffic.model_fields["car_following"].annotation):
         named = ["episode.course_m=inf", "episode.duration_s=300", f"traffic.car_following={model}", *given.set]
-        world = config.load(overrides=named)
+        world = config_file.load(overrides=named)
         for driver in ("keep", "random", "rule"):
             brakings, contacts, step_us = watch(world, driver, given.episodes)
             table.add_row(model, driver, f"{brakings:.1f}", str(contacts), f"{step_us:.0f}")

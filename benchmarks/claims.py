@@ -13,11 +13,12 @@ from pathlib import Path
 import numpy as np
 import pandas as pd
 
-from rail_sumo import config, report, statistics, training
-from rail_sumo.experiment import SYSTEMS
+from rail_sumo import config, training
 from rail_sumo.policy import ARGMAX, SAMPLED
 from rail_sumo.records import MetaAction
-from rail_sumo.reproduce import compare, read_cells, scores, with_interval
+from rail_sumo.studies.experiment import SYSTEMS
+from rail_sumo.studies.reproduce import compare, read_cells, scores, with_interval
+from rail_sumo.tables import report, statistics
 
 PAIRS = (
     (("rail-2", ARGMAX), ("bc-2", ARGMAX)),

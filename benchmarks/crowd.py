@@ -13,7 +13,7 @@ from typing import Any
 from throughput import Recording, record, replay
 
 from rail_sumo import run
-from rail_sumo.config import load
+from rail_sumo.config_file import load
 from rail_sumo.drivers import Driver
 from rail_sumo.highway.env import HighwayEnv
 from rail_sumo.rollout import Task

@@ -13,10 +13,11 @@ from pathlib import Path
 import numpy as np
 import pandas as pd
 
-from rail_sumo import audit, rollout, run, statistics
+from rail_sumo import rollout, run
 from rail_sumo.records import MetaAction
 from rail_sumo.rollout import Task, traffic_seed
 from rail_sumo.run_directory import RunDirectory
+from rail_sumo.tables import audit, statistics
 
 TRAFFIC = 10**6 + 2
 """The seed of the traffic, which nobody trains or is evaluated on."""

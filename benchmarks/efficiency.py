@@ -18,7 +18,7 @@ import kept
 import numpy as np
 import pandas as pd
 
-from rail_sumo import config, rollout, run, training
+from rail_sumo import config_file, rollout, run, training
 from rail_sumo.imitation import gail  # noqa: F401  importing it takes seconds, which are nobody's training
 
 LEARNERS = ("rail", "gail")
@@ -32,7 +32,7 @@ EPISODES = 24
 def learning_curve(given: tuple[str, int, int, int]) -> pd.DataFrame:
     """A row per look: how far training was, and the policy's speed over the expert's on the same traffic."""
     learner, seed, n_iterations, every = given
-    world = config.load(None, [f"train.learner={learner}", "train.iterations=0"])
+    world = config_file.load(None, [f"train.learner={learner}", "train.iterations=0"])
 
     def speed(driver) -> float:
         episodes, _ = run.evaluate({"": driver}, world, episodes=EPISODES, seed=TRAFFIC)

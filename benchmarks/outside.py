@@ -26,7 +26,7 @@ from stable_baselines3 import PPO
 from stable_baselines3.common.policies import ActorCriticPolicy
 from stable_baselines3.common.vec_env import DummyVecEnv
 
-from rail_sumo import config, rollout, run, training
+from rail_sumo import config_file, rollout, run, training
 from rail_sumo.highway.env import HighwayEnv
 from rail_sumo.highway.observation import feature_names
 from rail_sumo.imitation import bc as ours
@@ -133,7 +133,7 @@ def taught(world, demonstrations, seed: int, rounds: int) -> dict[str, PolicyPar
 def cell(given: tuple[int, int]) -> pd.DataFrame:
     """Teach with one seed, and drive its held-out episodes."""
     seed, rounds = given
-    world = config.load()
+    world = config_file.load()
     torch.set_num_threads(1)
     demonstrations = training.demonstrations_of(world)
     policies = {**taught(world, demonstrations, seed, rounds), "expert": run.find_driver("expert", world)}

@@ -13,7 +13,7 @@ from unittest import mock
 import libsumo
 import numpy as np
 
-from rail_sumo import config
+from rail_sumo import config_file
 from rail_sumo.highway import env
 from rail_sumo.highway.simulation import Simulation
 from rail_sumo.records import Floats, Scene
@@ -99,7 +99,7 @@ def main() -> None:
     parser.add_argument("--drivers", nargs="+", default=["random", "rule"])
     parser.add_argument("--set", action="append", default=[], help="section.key=value, as in rail-sumo eval")
     given = parser.parse_args()
-    world = config.load(overrides=["episode.course_m=inf", "episode.duration_s=300", *given.set])
+    world = config_file.load(overrides=["episode.course_m=inf", "episode.duration_s=300", *given.set])
     print(f"{'driver':8}" + "".join(f"{name:>14}" for name in COLUMNS), flush=True)
     started = time.perf_counter()
     with workers(2) as pool:

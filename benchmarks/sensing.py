@@ -17,7 +17,7 @@ import numpy as np
 import pandas as pd
 from scipy import stats
 
-from rail_sumo import config, run, training
+from rail_sumo import config_file, run, training
 
 VARIANTS = {
     "as it is": [],
@@ -40,9 +40,9 @@ def learned(given: tuple[str, int, int]) -> pd.DataFrame:
     with tempfile.TemporaryDirectory() as folder:
         shown = Path(folder) / "rule.parquet"
         overrides = [*VARIANTS[variant], f"train.iterations={iterations}"]
-        world = config.load(None, overrides)
+        world = config_file.load(None, overrides)
         run.demonstrate("rule", world, shown, episodes=world.train.trajectories, seed=0)
-        world = config.load(None, [*overrides, f"train.demonstrations={shown}"])
+        world = config_file.load(None, [*overrides, f"train.demonstrations={shown}"])
         trained = training.learn(world, Path(folder) / "run", seed=FIRST_SEED + seed)
         policies = {"rail": trained.policy(), "clone": trained.clone, "rule": "rule"}
         table, _ = run.evaluate(policies, world, episodes=EPISODES, seed=TRAFFIC)

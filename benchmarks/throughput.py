@@ -32,7 +32,8 @@ from rich.console import Console
 from rich.table import Table
 
 from rail_sumo import cli  # noqa: F401  spawned workers import this module again: let them carry what the CLI's carry
-from rail_sumo.config import Config, load
+from rail_sumo.config import Config
+from rail_sumo.config_file import load
 from rail_sumo.highway.lidar import Lidar
 from rail_sumo.highway.network import road
 from rail_sumo.highway.simulation import HOST

@@ -19,7 +19,7 @@ from rich.console import Console
 from rich.markup import escape
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TaskID, TextColumn, TimeRemainingColumn
 
-from rail_sumo import assets, config, files
+from rail_sumo import assets, config_file, files
 from rail_sumo.errors import InputError
 from rail_sumo.highway.network.sumo_xml import is_configuration
 
@@ -81,7 +81,7 @@ def _options(
 
 @app.command()
 def train(
-    config_file: ConfigFile = None,
+    config_path: ConfigFile = None,
     network: NetworkFile = None,
     routes: Routes = None,
     overrides: Overrides = None,
@@ -96,12 +96,12 @@ def train(
     from rail_sumo.run_directory import CONFIG, RunDirectory
     from rail_sumo.tensorboard import Events
 
-    out = out or Path("runs", f"{config_file.stem if config_file else 'default'}-seed{seed or 0}")
+    out = out or Path("runs", f"{config_path.stem if config_path else 'default'}-seed{seed or 0}")
     if resume:  # as it was started, where nothing else is said
         started = RunDirectory(out)
-        config_file = config_file or out / CONFIG
+        config_path = config_path or out / CONFIG
         seed = started.seed if seed is None else seed
-    chosen = config.load(config_file, overrides_of(network, routes, overrides))
+    chosen = config_file.load(config_path, overrides_of(network, routes, overrides))
     n_workers = _workers(workers)
     try:
         with _bars() as bars:
@@ -137,7 +137,8 @@ def evaluate(
 
     The world is that of the first run directory among the policies, or the default, changed by the options.
     """
-    from rail_sumo import report, run
+    from rail_sumo import run
+    from rail_sumo.tables import report
 
     if out:
         files.check_folder(out, overwrite=overwrite, instead=", or replace its tables with --overwrite")
@@ -189,7 +190,7 @@ def plot(
     overwrite: Overwrite = False,
 ) -> None:
     """Draw how training went; runs that differ by the number at the end of their names become one curve with a band."""
-    from rail_sumo import plot
+    from rail_sumo.pictures import plot
 
     plot.save(plot.learning_curves(runs, against), out, overwrite=overwrite)
     print(f"learning curves in {out}")
@@ -198,7 +199,7 @@ def plot(
 @app.command()
 def reproduce(
     what: Annotated[Literal["table1", "figures"], typer.Argument(help="Table 1, or Figures 3 and 4.")],
-    config_file: ConfigFile = None,
+    config_path: ConfigFile = None,
     network: NetworkFile = None,
     routes: Routes = None,
     overrides: Overrides = None,
@@ -213,10 +214,10 @@ def reproduce(
     workers: LocalWorkers = "",
 ) -> None:
     """Repeat the paper's experiments; what is in the folder already is not done again."""
-    from rail_sumo import reproduce
-    from rail_sumo.experiment import Experiment
+    from rail_sumo.studies import reproduce
+    from rail_sumo.studies.experiment import Experiment
 
-    chosen = config.load(config_file, overrides_of(network, routes, overrides))
+    chosen = config_file.load(config_path, overrides_of(network, routes, overrides))
     if cells and (seeds is not None or quick or workers):
         raise InputError("--cells makes tables of what was driven before: leave out --seeds, --quick and --workers")
     n_seeds = (2 if quick else 10) if seeds is None else seeds
@@ -243,7 +244,7 @@ def reproduce(
 
 @app.command("config")
 def show_config(
-    config_file: ConfigFile = None,
+    config_path: ConfigFile = None,
     network: NetworkFile = None,
     routes: Routes = None,
     overrides: Overrides = None,
@@ -251,14 +252,14 @@ def show_config(
     """Print every key with what it means and its value, as TOML; a file to start from."""
     from rail_sumo import training
 
-    chosen = config.load(config_file, overrides_of(network, routes, overrides))
+    chosen = config_file.load(config_path, overrides_of(network, routes, overrides))
     training.learner_of(chosen)  # or there is none of that name
-    print(config.explained(chosen), end="")
+    print(config_file.explained(chosen), end="")
 
 
 @expert.command("train")
 def train_expert(
-    config_file: ConfigFile = None,
+    config_path: ConfigFile = None,
     network: NetworkFile = None,
     routes: Routes = None,
     overrides: Overrides = None,
@@ -271,7 +272,7 @@ def train_expert(
 
     out = out or Path("runs", f"expert-seed{seed}")
     n_workers = _workers(workers)
-    world = config.load(config_file, overrides_of(network, routes, overrides))
+    world = config_file.load(config_path, overrides_of(network, routes, overrides))
     with _bars() as observer:
         tables = expert.train(world, out, seed=seed, workers=n_workers, observer=observer)
     _show(tables, out)
@@ -280,7 +281,7 @@ def train_expert(
 @expert.command()
 def record(
     out: Annotated[Path, typer.Option(metavar="FILE.parquet", help="Where the demonstrations go.")],
-    config_file: ConfigFile = None,
+    config_path: ConfigFile = None,
     driver: Annotated[str, typer.Option(metavar="NAME", help=_POLICY)] = "expert",
     episodes: Annotated[int, typer.Option(help="Episodes to record.")] = 40,
     network: NetworkFile = None,
@@ -293,7 +294,7 @@ def record(
     """Record what a driver sees and carries out, for `train.demonstrations` to learn from."""
     from rail_sumo import run
 
-    world = config.load(config_file, overrides_of(network, routes, overrides))
+    world = config_file.load(config_path, overrides_of(network, routes, overrides))
     n_workers = _workers(workers)
     with _bars() as observer:
         demonstrations = run.demonstrate(
@@ -319,7 +320,7 @@ def check(
     """Tell where on a network rail-sumo would drive, and what may go wrong there."""
     from rail_sumo.highway import trial
 
-    found = trial.check(config.load(None, overrides_of(file, routes, overrides)))
+    found = trial.check(config_file.load(None, overrides_of(file, routes, overrides)))
     if as_json:
         print(json.dumps(found.as_json, indent=2))
         return
@@ -443,7 +444,7 @@ def _bars() -> Iterator[_Bars]:
 
 
 def _show(tables: "Tables", out: Path | None) -> None:
-    from rail_sumo import report
+    from rail_sumo.tables import report
 
     console = Console() if sys.stdout.isatty() else Console(width=100)
     console.print(report.table(tables[1], width=console.width))

@@ -9,7 +9,8 @@ import numpy as np
 from safetensors import safe_open
 
 from rail_sumo import assets
-from rail_sumo.config import Adas, Config, Senses, first_difference, recorded
+from rail_sumo.config import Adas, Config, Senses
+from rail_sumo.config_file import first_difference, recorded
 from rail_sumo.errors import InputError, ObservationError, did_you_mean
 from rail_sumo.highway import acc
 from rail_sumo.highway.acc import Leader

@@ -6,14 +6,16 @@ from pathlib import Path
 
 from safetensors.numpy import save_file
 
-from rail_sumo import report, run
+from rail_sumo import run
 from rail_sumo.assets import EXPERT_DEMONSTRATIONS, EXPERT_POLICY, EXPERT_RECIPE, MANIFEST
-from rail_sumo.config import Config, dumps
+from rail_sumo.config import Config
+from rail_sumo.config_file import dumps
 from rail_sumo.drivers import Expert
 from rail_sumo.files import check_folder, whole_folder
 from rail_sumo.highway.observation import feature_names
 from rail_sumo.records import Floats
 from rail_sumo.rollout import EXPERT_TRAINING, traffic_seed
+from rail_sumo.tables import report
 
 
 def train(

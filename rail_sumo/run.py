@@ -13,8 +13,9 @@ import pandas as pd
 import pyarrow as pa
 import pyarrow.parquet as pq
 
-from rail_sumo import assets, config, drivers, metrics, report, training
-from rail_sumo.config import Config, dumps
+from rail_sumo import assets, config_file, drivers, training
+from rail_sumo.config import Config
+from rail_sumo.config_file import dumps
 from rail_sumo.errors import InputError, did_you_mean
 from rail_sumo.files import check_file, check_folder, whole_file
 from rail_sumo.highway import varied
@@ -38,6 +39,7 @@ from rail_sumo.rollout import (
     traffic_seed,
 )
 from rail_sumo.run_directory import CONFIG, RunDirectory
+from rail_sumo.tables import metrics, report
 
 PART = "part.parquet"
 """The file of one episode's floating-car data, in a folder of its own."""
@@ -61,12 +63,12 @@ def world(policies: Iterable[str], overrides: Iterable[str] = ()) -> Config:
     Drivers known by name alone drive in the default world.
 
     Raises:
-        InputError: a policy is neither, or what `config.load` raises.
+        InputError: a policy is neither, or what `config_file.load` raises.
     """
     folders = [Path(policy) for policy in policies if not drivers.is_name(policy)]
     for folder in folders:
         _require_folder(folder)
-    chosen = config.load(folders[0] / CONFIG if folders else None, overrides)
+    chosen = config_file.load(folders[0] / CONFIG if folders else None, overrides)
     if any(override.startswith(("lidar.", "observation.")) for override in overrides):
         for policy in policies:
             who = find_driver(policy, chosen)

@@ -19,7 +19,8 @@ from numpy.typing import NDArray
 from safetensors import SafetensorError, safe_open
 
 from rail_sumo.assets import own_version
-from rail_sumo.config import Config, dumps, first_difference, load
+from rail_sumo.config import Config
+from rail_sumo.config_file import dumps, first_difference, load
 from rail_sumo.errors import InputError
 from rail_sumo.files import whole_file, whole_folder
 from rail_sumo.highway.observation import feature_names

@@ -5,7 +5,7 @@ import math
 
 import numpy as np
 
-from rail_sumo.config import validate
+from rail_sumo.config_file import validate
 from rail_sumo.highway.simulation import Simulation
 from rail_sumo.records import MetaAction
 

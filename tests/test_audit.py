@@ -5,8 +5,8 @@ import pytest
 import torch
 from toy import episode
 
-from rail_sumo.audit import FOLDS, told_apart
 from rail_sumo.records import MetaAction
+from rail_sumo.tables.audit import FOLDS, told_apart
 
 N_EPISODES, N_DECISIONS = 8, 200
 

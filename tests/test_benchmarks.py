@@ -16,7 +16,7 @@ import safety
 import sensing
 import throughput
 
-from rail_sumo import config
+from rail_sumo import config_file
 
 
 @pytest.mark.parametrize(
@@ -44,7 +44,7 @@ def test_of_every_choice_the_default_is_the_configurations_and_the_other_way_is_
     for choice in itertools.chain.from_iterable(ablations.CHOICES.values()):
         if choice.override:
             key = choice.override.partition("=")[0]
-            default, other = (config.load(None, overrides).flat()[key] for overrides in ([], [choice.override]))
+            default, other = (config_file.load(None, overrides).flat()[key] for overrides in ([], [choice.override]))
             assert choice.name == key
             assert other != default
             if isinstance(default, int | float):

@@ -6,7 +6,7 @@ import numpy as np
 import pandas as pd
 import pytest
 
-from rail_sumo import assets, cli, config, expert, rollout, run
+from rail_sumo import assets, cli, config_file, expert, rollout, run
 from rail_sumo.errors import InputError
 from rail_sumo.highway.observation import feature_names
 from rail_sumo.policy import PolicyParameters, Shape, Whitening
@@ -172,14 +172,14 @@ def test_tables_go_into_the_folder_one_is_in(rail_sumo, tmp_path):
 def world_of(rail_sumo, monkeypatch):
     """A function that returns the world a command line asks for, before anybody drives in it."""
     worlds = []
-    load = config.load
+    load = config_file.load
 
     def look_and_stop(path=None, overrides=()):
         worlds.append(load(path, overrides))
         raise InputError("seen enough")
 
     def ask(*command):
-        monkeypatch.setattr(config, "load", look_and_stop)
+        monkeypatch.setattr(config_file, "load", look_and_stop)
         assert rail_sumo(*command) == (2, "", "rail-sumo: seen enough\n")
         return worlds.pop()
 
@@ -207,7 +207,7 @@ def test_a_sumocfg_brings_its_network_demand_and_options_and_what_is_ours_is_tol
     note = "rail-sumo: sets these options of 'a/my.sumocfg' itself: end\n"
     code, printed, err = rail_sumo("config", "--network", "a/my.sumocfg")
     (tmp_path / "read.toml").write_text(printed)
-    world = config.load(tmp_path / "read.toml")
+    world = config_file.load(tmp_path / "read.toml")
     assert (world.network.file, world.traffic.routes) == ("a/my.net.xml", ("a/my.rou.xml",))
     assert (world.traffic.begin_s, code, err) == (120.0, 0, note)
     assert world.traffic.options == ("scale=0.5",)
@@ -242,7 +242,7 @@ def a_run(tmp_path):
     """A run directory of one iteration, started with other than the default configuration."""
     shape = Shape(48, 1)
     clone = PolicyParameters(np.zeros(shape.size), shape, Whitening(np.zeros(48), np.ones(48)))
-    started = RunDirectory.create(tmp_path / "mine", config.load(None, ["search.noise_std=0.07"]), 4, {}, clone)
+    started = RunDirectory.create(tmp_path / "mine", config_file.load(None, ["search.noise_std=0.07"]), 4, {}, clone)
     started.save(Checkpoint(clone, {}, (dict.fromkeys(PROGRESS_COLUMNS, 1.0),)))
 
 
@@ -330,7 +330,7 @@ def test_the_configuration_printed_is_one_to_start_from(rail_sumo, tmp_path):
     code, printed, _ = rail_sumo("config", "--set", "policy.layers=1", "--network", "ring5")
     assert code == 0
     (tmp_path / "mine.toml").write_text(printed)
-    assert config.load(tmp_path / "mine.toml") == config.load(None, ["policy.layers=1", "network.file=ring5"])
+    assert config_file.load(tmp_path / "mine.toml") == config_file.load(None, ["policy.layers=1", "network.file=ring5"])
     assert rail_sumo("config", "mine.toml") == (0, printed, "")
 
 

@@ -3,7 +3,7 @@ import os
 import subprocess
 import sys
 
-from rail_sumo import config
+from rail_sumo import config_file
 from rail_sumo.highway.compiled import compiled
 from rail_sumo.rollout import Task, drive
 
@@ -15,9 +15,9 @@ def test_without_a_folder_for_its_cache_a_function_is_compiled_all_the_same():
 
 DRIVE = """
 import hashlib
-from rail_sumo import config
+from rail_sumo import config_file
 from rail_sumo.rollout import Task, drive
-driven = drive(Task("rule", config.load(None, ["episode.duration_s=10.0"]), 5))
+driven = drive(Task("rule", config_file.load(None, ["episode.duration_s=10.0"]), 5))
 print(hashlib.sha256(driven.observations.tobytes() + driven.speed_mps.tobytes()).hexdigest())
 """
 
@@ -28,7 +28,7 @@ def test_an_episode_is_the_same_to_the_bit_whether_its_kernels_were_cached_or_no
     for _ in range(2):  # compiled anew, then from the cache
         run = subprocess.run([sys.executable, "-c", DRIVE], env=environment, capture_output=True, text=True, check=True)
         printed.append(run.stdout)
-    driven = drive(Task("rule", config.load(None, ["episode.duration_s=10.0"]), 5))
+    driven = drive(Task("rule", config_file.load(None, ["episode.duration_s=10.0"]), 5))
     here = hashlib.sha256(driven.observations.tobytes() + driven.speed_mps.tobytes()).hexdigest()
     assert printed == [f"{here}\n"] * 2
     assert list(tmp_path.rglob("*.nbi")), "numba kept nothing there: the test compared like with like"

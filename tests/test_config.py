@@ -10,7 +10,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from pydantic import ValidationError
 
-from rail_sumo import config
+from rail_sumo import config, config_file
 from rail_sumo.config import Config
 from rail_sumo.errors import InputError
 
@@ -89,14 +89,14 @@ configs = st.fixed_dictionaries({name: sections(field.annotation) for name, fiel
 @given(configs)
 def test_written_as_toml_and_read_again_it_is_the_same(tmp_path_factory, given_config):
     path = tmp_path_factory.getbasetemp() / "config.toml"
-    path.write_text(config.dumps(given_config), encoding="utf-8")
-    assert config.load(path) == given_config
+    path.write_text(config_file.dumps(given_config), encoding="utf-8")
+    assert config_file.load(path) == given_config
 
 
 @settings(max_examples=50)
 @given(configs)
 def test_what_is_written_names_every_key(given_config):
-    tree = tomllib.loads(config.dumps(given_config))
+    tree = tomllib.loads(config_file.dumps(given_config))
     assert {name: set(section) for name, section in tree.items()} == {
         name: set(field.annotation.model_fields) for name, field in Config.model_fields.items()
     }
@@ -105,11 +105,11 @@ def test_what_is_written_names_every_key(given_config):
 @settings(max_examples=20)
 @given(configs)
 def test_explained_it_is_the_same(given_config):
-    assert tomllib.loads(config.explained(given_config)) == tomllib.loads(config.dumps(given_config))
+    assert tomllib.loads(config_file.explained(given_config)) == tomllib.loads(config_file.dumps(given_config))
 
 
 def test_a_section_and_a_key_are_explained_just_before_they_stand():
-    lines = config.explained(Config()).splitlines()
+    lines = config_file.explained(Config()).splitlines()
     assert max(map(len, lines)) <= 120
     assert lines[lines.index("[judge]") - 1] == "# The discriminator and its training."
     assert lines[lines.index("n_directions = 16") - 1].startswith("# N: how many perturbations an iteration tries")
@@ -120,12 +120,12 @@ def test_a_section_and_a_key_are_explained_just_before_they_stand():
 @pytest.mark.parametrize("changes", [{"duration_s": 300.0, "course_m": math.inf}, {"duration_s": math.inf}])
 def test_no_limit_survives_the_way_through_toml(tmp_path, changes):
     given_config = Config(episode=config.Episode(**changes), traffic=config.Traffic(lane_change_every_s=math.inf))
-    (tmp_path / "config.toml").write_text(config.dumps(given_config))
-    assert config.load(tmp_path / "config.toml") == given_config
+    (tmp_path / "config.toml").write_text(config_file.dumps(given_config))
+    assert config_file.load(tmp_path / "config.toml") == given_config
 
 
 def test_without_a_file_the_defaults_are_the_papers_course_on_five_lanes():
-    default = config.load()
+    default = config_file.load()
     assert default == Config()
     assert default.network.file == "highway5"
     assert (default.episode.course_m, default.episode.duration_s) == (7222.0, math.inf)
@@ -139,7 +139,7 @@ def test_without_a_file_the_defaults_are_the_papers_course_on_five_lanes():
 def test_a_file_changes_what_it_names_and_an_override_wins_over_it(tmp_path):
     path = tmp_path / "own.toml"
     path.write_text("[traffic]\nvehicles = 30\nahead_m = 300\n[lidar]\nn_rays = 36")
-    loaded = config.load(path, ["traffic.vehicles=12", "network.file=ring5", "traffic.vehicles=13"])
+    loaded = config_file.load(path, ["traffic.vehicles=12", "network.file=ring5", "traffic.vehicles=13"])
     changed = Config(
         traffic=config.Traffic(vehicles=13, ahead_m=300.0),
         lidar=config.Lidar(n_rays=36),
@@ -166,7 +166,7 @@ def test_a_file_changes_what_it_names_and_an_override_wins_over_it(tmp_path):
     ],
 )
 def test_an_override_is_read_as_toml_and_a_bare_word_as_itself(override, section, key, value):
-    loaded = getattr(getattr(config.load(overrides=[override]), section), key)
+    loaded = getattr(getattr(config_file.load(overrides=[override]), section), key)
     assert loaded == value
     assert type(loaded) is type(value)
 
@@ -283,14 +283,14 @@ def test_a_bad_file_is_refused_in_one_line_that_says_what_was_given_and_what_is_
     path = tmp_path / "own.toml"
     path.write_text(toml)
     with pytest.raises(InputError, match=line(f"configuration: {message}")):
-        config.load(path)
+        config_file.load(path)
 
 
 @pytest.mark.parametrize("override", ["traffic.vehicles", "vehicles=30", "a.b.c=1", "=1", ".vehicles=1", "traffic.=1"])
 def test_a_malformed_override_is_refused(override):
     message = f"--set takes section.key=value, for example traffic.vehicles=30; got '{override}'"
     with pytest.raises(InputError, match=line(message)):
-        config.load(overrides=[override])
+        config_file.load(overrides=[override])
 
 
 @pytest.mark.parametrize(
@@ -310,7 +310,7 @@ def test_a_malformed_override_is_refused(override):
 )
 def test_a_bad_override_is_refused_as_it_would_be_in_a_file(override, message):
     with pytest.raises(InputError, match=line(f"configuration: {message}")):
-        config.load(overrides=[override])
+        config_file.load(overrides=[override])
 
 
 def test_an_override_into_what_the_file_made_no_section_is_refused(tmp_path):
@@ -318,7 +318,7 @@ def test_an_override_into_what_the_file_made_no_section_is_refused(tmp_path):
     path.write_text("traffic = 3")
     message = "configuration: 'traffic' must be a section, written [traffic]; got 3"
     with pytest.raises(InputError, match=line(message)):
-        config.load(path, ["traffic.vehicles=3"])
+        config_file.load(path, ["traffic.vehicles=3"])
 
 
 def test_a_file_that_cannot_be_read_or_is_no_toml_is_named(tmp_path):
@@ -330,12 +330,12 @@ def test_a_file_that_cannot_be_read_or_is_no_toml_is_named(tmp_path):
         (tmp_path, f"cannot read configuration '{tmp_path}': Is a directory (current folder: {Path.cwd()})"),
     ):
         with pytest.raises(InputError, match=line(message)):
-            config.load(path)
+            config_file.load(path)
     for path in (broken, binary):
         with pytest.raises(InputError, match=f"^configuration '{re.escape(str(path))}' is not valid TOML: [^\n]+$"):
-            config.load(path)
+            config_file.load(path)
 
 
 def test_a_period_that_is_no_whole_number_of_steps_is_refused():
     with pytest.raises(InputError, match=r"^configuration: episode\b.*decision_period_s.*0\.25$"):
-        config.load(overrides=["episode.decision_period_s=0.25"])
+        config_file.load(overrides=["episode.decision_period_s=0.25"])

@@ -6,8 +6,8 @@ from pathlib import Path
 import claims
 import pytest
 
-from rail_sumo import reproduce
-from rail_sumo.experiment import SYSTEMS
+from rail_sumo.studies import reproduce
+from rail_sumo.studies.experiment import SYSTEMS
 
 ROOT = Path(__file__).parent.parent
 CELLS = ROOT / "docs" / "data" / "cells.parquet"

@@ -11,7 +11,7 @@ from hypothesis import strategies as st
 from hypothesis.extra import numpy as hnp
 from toy import episode
 
-from rail_sumo import config
+from rail_sumo import config, config_file
 from rail_sumo.errors import InputError
 from rail_sumo.imitation.demonstrations import METADATA_KEY, Demonstrations
 
@@ -133,11 +133,11 @@ def test_the_file_names_its_columns_and_tells_where_it_is_from(tmp_path):
 )
 def test_what_was_sensed_or_decided_otherwise_is_refused(tmp_path, override, message):
     path = tmp_path / "expert.parquet"
-    three_episodes().save(path, features=FEATURES, about={"config": config.dumps(config.Config())})
-    as_recorded = config.load(None, ["traffic.vehicles=3"]).demonstrating
+    three_episodes().save(path, features=FEATURES, about={"config": config_file.dumps(config.Config())})
+    as_recorded = config_file.load(None, ["traffic.vehicles=3"]).demonstrating
     assert same(Demonstrations.load(path, features=FEATURES, demonstrating=as_recorded), three_episodes())
     with pytest.raises(InputError, match=re.escape(message)):
-        Demonstrations.load(path, features=FEATURES, demonstrating=config.load(None, [override]).demonstrating)
+        Demonstrations.load(path, features=FEATURES, demonstrating=config_file.load(None, [override]).demonstrating)
 
 
 @pytest.mark.parametrize(

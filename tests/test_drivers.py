@@ -5,7 +5,7 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from rail_sumo import config, drivers
+from rail_sumo import config, config_file, drivers
 from rail_sumo.config import Config
 from rail_sumo.errors import InputError, ObservationError
 from rail_sumo.policy import PolicyParameters, Shape, Whitening
@@ -197,14 +197,14 @@ def test_a_driver_that_must_see_as_the_world_says_is_refused_by_the_first_key_th
     ],
 )
 def test_senses_differ_by_what_their_numbers_mean_not_by_how_many_there_are(override, message):
-    world = config.load(None, [override])
+    world = config_file.load(None, [override])
     with pytest.raises(ObservationError, match=re.escape(message)):
         drivers.require_same_senses(drivers.load_expert(world), world, "the expert")
     drivers.require_same_senses(drivers.Keep(), world, "keep")  # which takes whatever it is shown
 
 
 def test_the_expert_may_decide_more_often_than_it_was_trained_to():
-    often = config.load(None, ["episode.decision_period_s=0.5"])
+    often = config_file.load(None, ["episode.decision_period_s=0.5"])
     assert isinstance(drivers.by_name("expert", often, 0), drivers.Expert)
 
 

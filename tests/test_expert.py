@@ -4,7 +4,7 @@ import json
 import numpy as np
 import pytest
 
-from rail_sumo import assets, config, drivers, expert, run
+from rail_sumo import assets, config, config_file, drivers, expert, run
 from rail_sumo.assets import sha256
 from rail_sumo.errors import InputError
 from rail_sumo.imitation import ppo
@@ -12,7 +12,7 @@ from rail_sumo.imitation.demonstrations import Demonstrations
 from rail_sumo.records import MetaAction
 
 N_FEATURES = 48
-SHORT = config.load(None, ["episode.duration_s=20", "train.evaluation_episodes=2", "train.trajectories=3"])
+SHORT = config_file.load(None, ["episode.duration_s=20", "train.evaluation_episodes=2", "train.trajectories=3"])
 
 
 def always(action):
@@ -37,7 +37,7 @@ def test_the_manifest_names_every_file_and_how_it_was_made(trained):
     assert manifest["libsumo"].startswith("1.")
     # From 60 km/h it takes 2.8 s at 2 m/s² to 80 km/h; traffic ahead may hold it up, but never below the start.
     assert 60.0 < manifest["evaluation"]["speed_kmh"] <= 80.0
-    assert config.load(trained / "config.toml") == SHORT
+    assert config_file.load(trained / "config.toml") == SHORT
 
 
 def test_the_shipped_recipe_is_the_world_that_everybody_else_drives_in_by_default():
@@ -90,7 +90,7 @@ def test_the_expert_that_is_named_is_imitated_asked_and_compared_with(tmp_path, 
     blind = [(np.zeros((5, N_FEATURES // 2)), np.eye(5)[MetaAction.ACCELERATE])]
     monkeypatch.setattr(ppo, "train", lambda config, seed, traffic_seeds, observer: blind)
     brief = ["lidar.n_rays=12", "episode.duration_s=20", "train.evaluation_episodes=2", "train.trajectories=10"]
-    expert.train(config.load(None, brief), tmp_path / "mine", seed=5)
+    expert.train(config_file.load(None, brief), tmp_path / "mine", seed=5)
     asked = [
         "train.learner=dagger",
         "policy.mode=argmax",
@@ -99,7 +99,7 @@ def test_the_expert_that_is_named_is_imitated_asked_and_compared_with(tmp_path, 
         "train.horizon_s=10.0",
         "dagger.rollouts=1",
     ]
-    world = config.load(None, [*brief, *asked, f"train.expert={tmp_path / 'mine'}"])
+    world = config_file.load(None, [*brief, *asked, f"train.expert={tmp_path / 'mine'}"])
     episodes, _ = run.train(world, tmp_path / "run", seed=1)
     speeds = episodes.pivot(index="episode", columns="policy", values="speed_kmh")
     assert set(speeds) == {"dagger", "clone, argmax", "clone, sampled", "expert"}
@@ -109,7 +109,7 @@ def test_the_expert_that_is_named_is_imitated_asked_and_compared_with(tmp_path, 
     kept, _ = run.evaluate({"keep": "keep"}, world, episodes=2, seed=1)
     assert (speeds["expert"].to_numpy() > kept["speed_kmh"].to_numpy()).all()
     with pytest.raises(InputError, match="no expert here"):
-        run.train(config.load(None, [*brief, f"train.expert={tmp_path}"]), tmp_path / "other", seed=1)
+        run.train(config_file.load(None, [*brief, f"train.expert={tmp_path}"]), tmp_path / "other", seed=1)
 
 
 def test_a_changed_file_is_refused(trained):
@@ -148,7 +148,7 @@ def test_the_recipe_is_what_ppo_is_trained_by(monkeypatch):
     seen = {}
     monkeypatch.setattr(ppo, "MaskablePPO", look)
     recipe = ["expert.entropy=0.25", "expert.discount=0.5", "expert.horizon_s=30.0", "observation.frames=2"]
-    world = config.load(None, [*recipe, "expert.hidden=[7]", "expert.epochs=3", "expert.batch_size=32"])
+    world = config_file.load(None, [*recipe, "expert.hidden=[7]", "expert.epochs=3", "expert.batch_size=32"])
     with pytest.raises(Stop):
         ppo.train(world, 4, itertools.count(900))
     assert (seen["ent_coef"], seen["gamma"], seen["n_epochs"], seen["batch_size"]) == (0.25, 0.5, 3, 32)
@@ -163,7 +163,7 @@ def test_the_recipe_is_what_ppo_is_trained_by(monkeypatch):
 
 def test_ppo_folds_its_scale_into_the_first_layer(left_alone_by):
     """The network that is read out must decide on plain observations as the trained one did on scaled ones."""
-    tiny = config.load(None, ["expert.decisions=50", "expert.decisions_per_update=64", "expert.hidden=[4]"])
+    tiny = config_file.load(None, ["expert.decisions=50", "expert.decisions_per_update=64", "expert.hidden=[4]"])
 
     def train(seed, told=lambda _: None, **changes):
         return ppo.train(tiny.model_copy(update=changes), seed, itertools.count(seed), told)

@@ -12,7 +12,7 @@ import pytest
 from safetensors.numpy import load_file
 
 from rail_sumo import registry, training
-from rail_sumo.config import load
+from rail_sumo.config_file import load
 from rail_sumo.errors import InputError
 from rail_sumo.imitation.losses import LOSSES
 from rail_sumo.records import MetaAction

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from scipy import stats
 
-from rail_sumo import config, run
+from rail_sumo import config_file, run
 from rail_sumo.imitation.discriminator import Discriminator
 
 pytestmark = pytest.mark.xdist_group("learning")  # `by_its_judge` is trained once
@@ -22,7 +22,7 @@ SHORT = (
 
 def gains_kmh(folder):
     """Train, and return the gain in speed on the clone in every held-out episode."""
-    episodes, _ = run.train(config.load(None, SHORT), folder, seed=0, workers=2)
+    episodes, _ = run.train(config_file.load(None, SHORT), folder, seed=0, workers=2)
     speeds = episodes.pivot(index="seed", columns="policy", values="speed_kmh")
     return (speeds["rail"] - speeds["clone, argmax"]).to_numpy()
 

@@ -4,10 +4,10 @@ import math
 import numpy as np
 import pytest
 
-from rail_sumo import metrics
 from rail_sumo.config import Adas
 from rail_sumo.highway.reward import reward
 from rail_sumo.records import EPISODE_COLUMNS, Trajectory
+from rail_sumo.tables import metrics
 
 
 def trajectory(speed_mps, **changes):

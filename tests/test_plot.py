@@ -2,9 +2,9 @@ import numpy as np
 import pytest
 from scipy import stats
 
-from rail_sumo import plot
 from rail_sumo.config import Config
 from rail_sumo.errors import InputError
+from rail_sumo.pictures import plot
 from rail_sumo.policy import PolicyParameters, Shape, Whitening
 from rail_sumo.run_directory import PROGRESS_COLUMNS, Checkpoint, RunDirectory
 

@@ -7,7 +7,7 @@ from pathlib import Path
 
 import pytest
 
-from rail_sumo import config
+from rail_sumo import config, config_file
 
 README = Path(__file__).parent.parent.joinpath("README.md").read_text(encoding="utf-8")
 LONG_AND_SHORT = {
@@ -37,7 +37,7 @@ def run(folder, *command):
 def test_the_configuration_shown_is_one_and_changes_what_it_names(tmp_path):
     (text,) = shown("toml")
     (tmp_path / "mine.toml").write_text(text, encoding="utf-8")
-    chosen, default = config.load(tmp_path / "mine.toml").flat(), config.Config().flat()
+    chosen, default = config_file.load(tmp_path / "mine.toml").flat(), config.Config().flat()
     assert {key: value for key, value in chosen.items() if value != default[key]} == {
         "traffic.vehicles": 24,
         "policy.layers": 1,

@@ -8,9 +8,9 @@ import pytest
 from rich.console import Console
 from scipy.stats import ttest_1samp
 
-from rail_sumo import report
 from rail_sumo.errors import InputError
 from rail_sumo.records import EPISODE_COLUMNS, METRICS, SUMMARY_COLUMNS
+from rail_sumo.tables import report
 
 
 def rows(policy, speeds_kmh, **changes):

@@ -15,14 +15,16 @@ import pytest
 from safetensors.numpy import load_file, save_file
 from toy import episode
 
-from rail_sumo import assets, config, experiment, plot, reproduce, training
-from rail_sumo.config import dumps
+from rail_sumo import assets, config_file, training
+from rail_sumo.config_file import dumps
 from rail_sumo.errors import InputError
-from rail_sumo.experiment import SYSTEMS, Cell, Experiment
+from rail_sumo.pictures import plot
 from rail_sumo.policy import PolicyParameters
 from rail_sumo.records import KMH, SECONDS_PER_STEP, MetaAction
 from rail_sumo.rollout import EVALUATION, traffic_seed
 from rail_sumo.run_directory import PROGRESS, Checkpoint, RunDirectory
+from rail_sumo.studies import experiment, reproduce
+from rail_sumo.studies.experiment import SYSTEMS, Cell, Experiment
 
 N_EPISODES, N_DECISIONS = 4, 10
 LEARNERS = tuple(name for name, system in SYSTEMS.items() if system.trains)
@@ -35,7 +37,7 @@ T1, T7 = 12.7062, 2.3646
 
 @pytest.fixture
 def world():
-    return config.load(None, ["cloning.epochs=0", "train.iterations=5"])
+    return config_file.load(None, ["cloning.epochs=0", "train.iterations=5"])
 
 
 @pytest.fixture
@@ -75,7 +77,7 @@ def done(monkeypatch, contacts):
 
 @cache
 def a_demonstration():
-    return training.demonstrations_of(config.load(None, ["train.trajectories=1"]))
+    return training.demonstrations_of(config_file.load(None, ["train.trajectories=1"]))
 
 
 def made_up(driver, world, seed, number, contacts):
@@ -238,7 +240,7 @@ MODES = ("argmax", "sampled")
 
 
 def test_a_mode_that_was_set_is_the_one_it_was_trained_in(done, tmp_path):
-    world = config.load(None, ["cloning.epochs=0", "train.iterations=5", "policy.mode=sampled"])
+    world = config_file.load(None, ["cloning.epochs=0", "train.iterations=5", "policy.mode=sampled"])
     table = rows_of(table1(world, tmp_path, ("rail-2",), seeds=1), "speed_kmh")
     assert table.loc["rail-2"]["as_trained"].to_dict() == {"argmax": False, "sampled": True}
 
@@ -453,7 +455,7 @@ def test_other_files_under_the_same_names_are_another_experiment(world, done, tm
 
 def test_what_is_not_trained_anew_is_driven_again_on_other_files(done, tmp_path, monkeypatch):
     mine = shutil.copytree(assets.data_root() / "expert", tmp_path / "mine")
-    world = config.load(None, ["cloning.epochs=0", f"train.expert={mine}"])
+    world = config_file.load(None, ["cloning.epochs=0", f"train.expert={mine}"])
 
     def made(*grid):
         done.clear()
@@ -533,7 +535,7 @@ def test_a_damaged_cell_is_made_again(world, done, tmp_path):
 
 @pytest.mark.parametrize("given", [0.0, 3.0])
 def test_the_reward_is_paid_in_its_own_row_alone(done, tmp_path, given):
-    paid = config.load(None, ["cloning.epochs=0", "train.iterations=5", f"rail.reward_weight={given}"])
+    paid = config_file.load(None, ["cloning.epochs=0", "train.iterations=5", f"rail.reward_weight={given}"])
     table1(paid, tmp_path, seeds=1)
     weights = {path.name: RunDirectory(path).config.rail.reward_weight for path in (tmp_path / "runs").iterdir()}
     assert weights.pop("rewarded-2-40-seed0") == 3.0
@@ -665,7 +667,7 @@ SMALL = [
 
 @pytest.mark.slow
 def test_killed_amid_a_training_it_goes_on_with_other_workers_to_the_same_bytes(tmp_path):
-    small = config.load(None, SMALL)
+    small = config_file.load(None, SMALL)
     systems = ("rail-2", "gail-2", "dagger-2", "bc-1", "rule", "sumo", "expert")
     table1(small, tmp_path / "whole", systems, seeds=1)
     overrides = itertools.chain.from_iterable(("--set", override) for override in SMALL)

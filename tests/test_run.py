@@ -14,7 +14,7 @@ import pytest
 from safetensors import safe_open
 from safetensors.numpy import load_file, save_file
 
-from rail_sumo import assets, config, drivers, report, rollout, run, training
+from rail_sumo import assets, config, config_file, drivers, rollout, run, training
 from rail_sumo.errors import InputError, NotBegun
 from rail_sumo.highway.reward import total_reward
 from rail_sumo.highway.simulation import HOST
@@ -23,6 +23,7 @@ from rail_sumo.imitation.demonstrations import Demonstrations
 from rail_sumo.policy import PolicyParameters
 from rail_sumo.records import METRICS, Trajectory
 from rail_sumo.run_directory import CHECKPOINT, CLONE, JUDGE, POLICY, PROGRESS, PROGRESS_COLUMNS, RunDirectory
+from rail_sumo.tables import report
 
 N_FEATURES = 8
 
@@ -82,10 +83,10 @@ def driven(monkeypatch):
 def small(tmp_path):
     """A configuration that trains in a moment, from demonstrations in a file."""
     expert = [drive(rollout.Task("expert", config.Config(), seed)) for seed in range(3)]
-    world = config.load(None, SMALL)
+    world = config_file.load(None, SMALL)
     features = run.feature_names(world.lidar, world.observation)
     Demonstrations.from_trajectories(expert).save(tmp_path / "demonstrations.parquet", features=features, about={})
-    return config.load(None, [*SMALL, f"train.demonstrations={tmp_path / 'demonstrations.parquet'}"])
+    return config_file.load(None, [*SMALL, f"train.demonstrations={tmp_path / 'demonstrations.parquet'}"])
 
 
 SMALL = (
@@ -207,7 +208,7 @@ def test_every_policy_is_evaluated_on_the_same_traffic(driven):
 
 
 def test_demonstrations_are_what_was_seen_and_decided(driven, tmp_path):
-    world = config.load(None, SMALL)
+    world = config_file.load(None, SMALL)
     recorded = run.demonstrate("rule", world, tmp_path / "new" / "rule.parquet", episodes=2, seed=5)
     features = run.feature_names(world.lidar, world.observation)
     loaded = Demonstrations.load(tmp_path / "new" / "rule.parquet", features=features)
@@ -235,7 +236,7 @@ def test_resuming_with_another_configuration_names_the_key(small, trained):
 
 
 def test_resuming_on_other_demonstrations_is_refused(small, trained, tmp_path):
-    world = config.load(None, SMALL)
+    world = config_file.load(None, SMALL)
     features = run.feature_names(world.lidar, world.observation)
     others = [drive(rollout.Task("expert", world, seed)) for seed in range(3, 6)]
     Demonstrations.from_trajectories(others).save(tmp_path / "demonstrations.parquet", features=features, about={})
@@ -362,7 +363,7 @@ def test_an_existing_folder_is_refused_before_any_work(small, driven, tmp_path):
 
 
 def test_one_worker_and_two_give_the_same_tables_byte_for_byte(tmp_path):
-    world = config.load(None, ["episode.duration_s=20.0"])
+    world = config_file.load(None, ["episode.duration_s=20.0"])
     for workers in (1, 2):
         tables = run.evaluate({"rule": "rule", "random": "random"}, world, episodes=2, seed=0, workers=workers)
         run.report.write(tmp_path / str(workers), episodes=tables[0], summary=tables[1])
@@ -370,7 +371,7 @@ def test_one_worker_and_two_give_the_same_tables_byte_for_byte(tmp_path):
 
 
 def test_floating_car_data_tell_of_the_very_drives_that_the_tables_tell_of(tmp_path):
-    world = config.load(None, ["episode.duration_s=20.0"])
+    world = config_file.load(None, ["episode.duration_s=20.0"])
     who = {"rule": "rule", "runs/my first": "random"}
     tables = run.evaluate(who, world, episodes=2, seed=0, workers=2, fcd=tmp_path / "fcd")
     for table, without in zip(tables, run.evaluate(who, world, episodes=2, seed=0), strict=True):
@@ -456,7 +457,7 @@ def test_floating_car_data_that_were_cut_off_are_refused(tmp_path, monkeypatch):
         part.write_bytes(part.read_bytes()[:-100])
 
     monkeypatch.setattr(run, "attempt_all", cut)
-    world = config.load(None, ["episode.duration_s=2.0"])
+    world = config_file.load(None, ["episode.duration_s=2.0"])
     with pytest.raises(InputError, match=r"could not write .* whole \('.*episode=1/part\.parquet'\); is the disk full"):
         run.evaluate({"rule": "rule"}, world, episodes=2, seed=0, fcd=tmp_path / "fcd")
     with pytest.raises(InputError, match="exists"):
@@ -465,7 +466,7 @@ def test_floating_car_data_that_were_cut_off_are_refused(tmp_path, monkeypatch):
 
 def test_one_worker_and_two_learn_the_same_policy_bit_for_bit(tmp_path):
     brief = ["search.n_directions=2", "judge.minibatches=2", "cloning.epochs=1", "train.trajectories=1"]
-    world = config.load(
+    world = config_file.load(
         None,
         [*brief, "train.iterations=2", "train.horizon_s=10.0", "train.evaluation_episodes=1", "episode.course_m=300"],
     )
@@ -556,7 +557,7 @@ def test_as_many_trajectories_are_shown_as_are_to_be(small):
 
 def test_demonstrations_of_another_pace_are_refused(small, tmp_path):
     shown, features = training.demonstrations_of(small), run.feature_names(small.lidar, small.observation)
-    shown.save(tmp_path / "mine.parquet", features=features, about={"config": config.dumps(small)})
+    shown.save(tmp_path / "mine.parquet", features=features, about={"config": config_file.dumps(small)})
     own = small.model_copy(
         update={"train": small.train.model_copy(update={"demonstrations": str(tmp_path / "mine.parquet")})}
     )
@@ -579,7 +580,7 @@ def test_what_is_read_is_known_by_its_content(small, tmp_path):
 
 @pytest.mark.parametrize(("period_s", "decisions"), [(1.0, 200), (2.0, 100), (0.1, 2000)])
 def test_the_horizon_in_decisions_depends_on_their_pace(period_s, decisions):
-    world = config.load(None, [f"episode.decision_period_s={period_s}"])
+    world = config_file.load(None, [f"episode.decision_period_s={period_s}"])
     assert training.horizon_decisions(world) == decisions
 
 

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from driving import ACCELERATE, DECELERATE, EMPTY, KEEP, MERGE, always, drive
 
-from rail_sumo import config
+from rail_sumo import config, config_file
 from rail_sumo.errors import InputError
 from rail_sumo.highway.adas import Adas
 from rail_sumo.highway.env import HighwayEnv
@@ -73,7 +73,7 @@ def road_of(tmp_path, limit_kmh):
 
 def world(network, *, traffic=EMPTY, **adas):
     episode = {"course_m": math.inf, "duration_s": 20.0}
-    return config.validate({"network": network, "traffic": traffic, "episode": episode, "adas": adas})
+    return config_file.validate({"network": network, "traffic": traffic, "episode": episode, "adas": adas})
 
 
 def test_on_sumo_the_host_starts_at_three_quarters_of_the_limit_and_speeds_up_to_it(make, tmp_path):
@@ -178,7 +178,7 @@ def test_keeping_on_a_slower_road_ahead_comes_back_to_its_speed_after_it(make, t
     path = tmp_path / "zone.net.xml"
     text = MERGE.replace("36.11", "22.2222")
     path.write_text(re.sub(r'(<lane id=":b.*?speed=)"22.2222"', r'\1"8.33"', text))
-    long = config.validate(
+    long = config_file.validate(
         {"network": {"file": str(path)}, "traffic": EMPTY, "episode": {"course_m": math.inf, "duration_s": 120.0}}
     )
     driven = drive(make(long), always(KEEP))

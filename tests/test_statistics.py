@@ -5,7 +5,7 @@ from hypothesis import strategies as st
 from hypothesis.extra import numpy as arrays
 from scipy import stats
 
-from rail_sumo.statistics import difference, mean, probability_of_improvement, ratio, share, units
+from rail_sumo.tables.statistics import difference, mean, probability_of_improvement, ratio, share, units
 
 scores = arrays.arrays(np.float64, st.tuples(st.integers(1, 4), st.integers(1, 6)), elements=st.integers(-5, 5))
 

@@ -7,7 +7,7 @@ import libsumo
 import numpy as np
 import pytest
 
-from rail_sumo import config, rollout
+from rail_sumo import config_file, rollout
 from rail_sumo.config import Config
 from rail_sumo.errors import InputError
 from rail_sumo.highway import varied
@@ -16,12 +16,12 @@ from rail_sumo.highway.network import road
 from rail_sumo.records import KMH
 from rail_sumo.rollout import Task, drive
 
-ANYWHERE = config.load(None, ['varied.networks=["highway3", "ring5"]', "episode.duration_s=20"])
+ANYWHERE = config_file.load(None, ['varied.networks=["highway3", "ring5"]', "episode.duration_s=20"])
 MANY = range(2000)
 
 
 def worlds(*overrides):
-    chosen = config.load(None, ['varied.networks=["highway3", "ring5"]', *overrides])
+    chosen = config_file.load(None, ['varied.networks=["highway3", "ring5"]', *overrides])
     return [varied.draw(chosen, seed) for seed in MANY]
 
 
@@ -78,7 +78,7 @@ def test_a_configuration_of_sumos_brings_its_own_demand(tmp_path):
         "<routes><flow id='f' begin='100' end='400' period='5'><route edges='highway'/></flow></routes>"
     )
     named = f"varied.networks=['{tmp_path / 'my.sumocfg'}']"
-    chosen = config.load(None, [named, "varied.own_demand=1", "varied.demand_scale=[0.5, 0.5]"])
+    chosen = config_file.load(None, [named, "varied.own_demand=1", "varied.demand_scale=[0.5, 0.5]"])
     traffic = varied.draw(chosen, 0).traffic
     assert (traffic.begin_s, Path(*traffic.routes).name) == (100.0, "my.rou.xml")
     assert sorted(traffic.options) == ["scale=1.5", "time-to-teleport=100"]
@@ -90,7 +90,7 @@ def test_an_unknown_network_is_refused_before_anybody_drives():
     from rail_sumo import run
 
     with pytest.raises(InputError, match="network 'highway33' not found; did you mean 'highway3'"):
-        run.require_drivable(config.load(None, ['varied.networks=["highway3", "highway33"]']))
+        run.require_drivable(config_file.load(None, ['varied.networks=["highway3", "highway33"]']))
 
 
 def test_the_environment_draws_a_world_at_every_reset():
@@ -113,7 +113,7 @@ def test_the_drawn_world_driven_by_itself_is_the_same_episode():
 
 
 def test_a_limit_factor_holds_on_the_course_for_the_host_and_for_everybody_else():
-    env = HighwayEnv(config.load(None, ["network.limit_factor=1.5", "observation.speed_limit=true"]))
+    env = HighwayEnv(config_file.load(None, ["network.limit_factor=1.5", "observation.speed_limit=true"]))
     try:
         observation, _ = env.reset(seed=1)
         limit_mps = 1.5 * road.load("highway5").highest_limit_mps
@@ -163,7 +163,7 @@ def test_where_no_episode_to_learn_from_can_begin_the_reason_is_told(monkeypatch
 
 def test_lorries_are_as_many_as_the_share_says_long_and_no_faster_than_90_kmh():
     env = HighwayEnv(
-        config.load(
+        config_file.load(
             None,
             ["traffic.lorries=0.4", "traffic.vehicles=40", "traffic.speed_low_kmh=100", "traffic.speed_high_kmh=120"],
         )
@@ -186,7 +186,7 @@ def test_lorries_are_as_many_as_the_share_says_long_and_no_faster_than_90_kmh():
 
 @pytest.mark.parametrize("factor", [1.0, 1.5])
 def test_everybody_wants_to_drive_as_fast_as_the_limit_says(factor):
-    env = HighwayEnv(config.load(None, [f"network.limit_factor={factor}", "traffic.vehicles=40"]))
+    env = HighwayEnv(config_file.load(None, [f"network.limit_factor={factor}", "traffic.vehicles=40"]))
     desired_kmh = []
     try:
         for seed in range(8):

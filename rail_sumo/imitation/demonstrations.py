@@ -10,7 +10,7 @@ import pyarrow as pa
 import pyarrow.parquet as pq
 from numpy.typing import NDArray
 
-from rail_sumo.config import first_difference, recorded
+from rail_sumo.config_file import first_difference, recorded
 from rail_sumo.errors import InputError
 from rail_sumo.files import whole_file
 from rail_sumo.policy import N_ACTIONS

@@ -15,7 +15,7 @@ from torch.nn import functional
 from rail_sumo.imitation.perceptron import perceptron, single_threaded
 from rail_sumo.policy import N_ACTIONS, Whitening
 from rail_sumo.records import Floats, Trajectory
-from rail_sumo.statistics import probability_of_improvement
+from rail_sumo.tables.statistics import probability_of_improvement
 
 FOLDS = 4
 HIDDEN = (64, 64)

@@ -19,15 +19,17 @@ import pandas as pd
 import pyarrow as pa
 import pyarrow.parquet as pq
 
-from rail_sumo import drivers, metrics, report, rollout, run, training
-from rail_sumo.audit import told_apart
-from rail_sumo.config import Config, dumps, validate
+from rail_sumo import drivers, rollout, run, training
+from rail_sumo.config import Config
+from rail_sumo.config_file import dumps, validate
 from rail_sumo.errors import InputError
 from rail_sumo.files import check_folder, whole_file
 from rail_sumo.policy import ARGMAX, SAMPLED
 from rail_sumo.records import EPISODE_COLUMNS, Trajectory
 from rail_sumo.rollout import EVALUATION, SILENT, Observer, Task, Who, WorkerCount, traffic_seed
 from rail_sumo.run_directory import RunDirectory
+from rail_sumo.tables import metrics, report
+from rail_sumo.tables.audit import told_apart
 
 QUICK = 4
 """An experiment that is to show its shape within minutes has so many times fewer iterations."""

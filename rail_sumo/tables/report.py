@@ -10,9 +10,9 @@ from rich.box import SIMPLE_HEAD
 from rich.markup import escape
 from rich.table import Table
 
-from rail_sumo import statistics
 from rail_sumo.files import whole_folder
 from rail_sumo.records import EPISODE_COLUMNS, METRICS, SUMMARY_COLUMNS, UNDRIVEN, Floats
+from rail_sumo.tables import statistics
 
 EXPERT = "expert"
 """The policy that ratios refer to unless another is named."""

@@ -8,12 +8,13 @@ import numpy as np
 import pandas as pd
 import pyarrow as pa
 
-from rail_sumo import plot, report
 from rail_sumo.errors import InputError, did_you_mean
-from rail_sumo.experiment import CELL_COLUMNS, SYSTEMS, Experiment
 from rail_sumo.files import check_folder, whole_file, writing
+from rail_sumo.pictures import plot
 from rail_sumo.records import COMPARISON_COLUMNS, Floats
-from rail_sumo.statistics import probability_of_improvement
+from rail_sumo.studies.experiment import CELL_COLUMNS, SYSTEMS, Experiment
+from rail_sumo.tables import report
+from rail_sumo.tables.statistics import probability_of_improvement
 
 TRAJECTORIES = (1, 5, 10, 20, 40)
 PAPER_METRICS = ("speed_kmh", "overtakes", "lane_changes", "longitudinal_reward", "lateral_reward")

@@ -1,0 +1,129 @@
+"""A configuration read from TOML, explained and written."""
+
+import json
+import textwrap
+import tomllib
+from collections.abc import Iterable, Iterator, Mapping
+from pathlib import Path
+from typing import Any
+
+import tomli_w
+from pydantic import ValidationError
+
+from rail_sumo.config import Config
+from rail_sumo.errors import InputError, did_you_mean
+
+
+def load(path: Path | None = None, overrides: Iterable[str] = ()) -> Config:
+    """Read a TOML file (all defaults without one) and apply `section.key=value` overrides.
+
+    Values of overrides are read as TOML, bare words as strings.
+
+    Raises:
+        InputError: no such file, not TOML, an unknown key (with a suggestion), a wrong type, a value out of range.
+    """
+    tree: dict[str, Any] = {}
+    if path is not None:
+        try:
+            tree = tomllib.loads(path.read_text(encoding="utf-8"))
+        except OSError as error:
+            raise InputError(
+                f"cannot read configuration '{path}': {error.strerror} (current folder: {Path.cwd()})"
+            ) from None
+        except (tomllib.TOMLDecodeError, UnicodeDecodeError) as error:
+            raise InputError(f"configuration '{path}' is not valid TOML: {error}") from None
+    for override in overrides:
+        _apply(tree, override)
+    return validate(tree)
+
+
+def validate(tree: dict[str, Any]) -> Config:
+    """Return the configuration a nested dict describes; see `load` for the errors."""
+    try:
+        # In JSON, since strict validation of Python objects refuses lists for tuples.
+        return Config.model_validate_json(json.dumps(tree, default=str))
+    except ValidationError as error:
+        raise InputError(_explain(error)) from None
+
+
+def recorded(text: str) -> Config:
+    """Return what TOML that `dumps` wrote, maybe long ago, says about sensing and deciding; the rest is default.
+
+    Raises:
+        InputError: it is not TOML, or says something else.
+    """
+    try:
+        tree = tomllib.loads(text)
+    except tomllib.TOMLDecodeError as error:
+        raise InputError(f"configuration is not valid TOML: {error}") from None
+    return validate({name: tree[name] for name in ("lidar", "observation", "episode") if name in tree})
+
+
+def first_difference(given: Mapping[str, Any], wanted: Mapping[str, Any]) -> str:
+    """Return the first key in which two sets of keys differ, with both values; empty if in none."""
+    found = ((key, value, wanted[key]) for key, value in given.items() if wanted[key] != value)
+    return next((f"{key} = {value}, not {other}" for key, value, other in found), "")
+
+
+def dumps(config: Config) -> str:
+    """Return the configuration as TOML, every key written out."""
+    return tomli_w.dumps(config.model_dump())
+
+
+def explained(config: Config) -> str:
+    """Return the configuration as TOML, every key with what it means."""
+    sections = []
+    for name, section in config:
+        lines = [*_comment(type(section).__doc__), f"[{name}]"]
+        for key, field in type(section).model_fields.items():
+            lines += [*_comment(field.description), tomli_w.dumps({key: getattr(section, key)}).rstrip()]
+        sections.append("\n".join([*lines, ""]))
+    return "\n".join(sections)
+
+
+def _comment(text: str | None) -> list[str]:
+    return textwrap.wrap(text or "", 120, initial_indent="# ", subsequent_indent="# ")
+
+
+def _apply(tree: dict[str, Any], override: str) -> None:
+    key, equals, text = override.partition("=")
+    parts = [part.strip() for part in key.split(".")]
+    if not equals or len(parts) != 2 or not all(parts):
+        raise InputError(f"--set takes section.key=value, for example traffic.vehicles=30; got '{override}'")
+    try:
+        value = tomllib.loads(f"value = {text}")["value"]
+    except tomllib.TOMLDecodeError:
+        value = text.strip()
+    section = tree.setdefault(parts[0], {})
+    if not isinstance(section, dict):
+        raise InputError(f"configuration: '{parts[0]}' must be a section, written [{parts[0]}]; got {section!r}")
+    section[parts[1]] = value
+
+
+def _explain(error: ValidationError) -> str:
+    by_key: dict[tuple[int | str, ...], list[Any]] = {}  # a key of two types has an error of each, named after it
+    for one in error.errors():
+        key = (*one["loc"][:2], *(part for part in one["loc"][2:] if isinstance(part, int)))
+        by_key.setdefault(key, []).append(one)
+    (key, (first, *others)), *rest = by_key.items()
+    location = ".".join(map(str, key))
+    more = f" (and {len(rest)} more)" if rest else ""
+    if first["type"] == "extra_forbidden":
+        return f"configuration: unknown key '{location}'{_suggest(first['loc'])}{more}"
+    message = " or ".join(one["msg"].removeprefix("Value error, ") for one in (first, *others))
+    message = message.replace(" or Input should be", " or").replace("valid array", 'list, written ["...", "..."]')
+    given = "" if isinstance(first["input"], dict) else f", got {first['input']!r}"
+    return ": ".join(filter(None, ["configuration", location, f"{message}{given}{more}"]))
+
+
+def _suggest(location: tuple[int | str, ...]) -> str:
+    allowed = list(Config.model_fields)
+    if len(location) == 2:
+        allowed = [key for key in _keys() if key.startswith(f"{location[0]}.")]
+    return did_you_mean(".".join(map(str, location)), allowed, also=_keys())
+
+
+def _keys() -> Iterator[str]:
+    for name, field in Config.model_fields.items():
+        assert field.annotation is not None
+        yield from (f"{name}.{key}" for key in field.annotation.model_fields)

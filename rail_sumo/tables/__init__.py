@@ -1,0 +1,1 @@
+"""Rows of drives to tables with intervals."""
