@@ -6,7 +6,7 @@ import numpy as np
 import pandas as pd
 import pytest
 
-from rail_sumo import assets, cli, config_file, expert, rollout, run
+from rail_sumo import assets, cli, config, config_file, expert, rollout, run
 from rail_sumo.errors import InputError
 from rail_sumo.highway.observation import feature_names
 from rail_sumo.policy import PolicyParameters, Shape, Whitening
