@@ -74,6 +74,8 @@ class Host:
         self._adas = adas
         self.fastest_mps = adas.highest_mps(road.highest_limit_mps)
         self._edges = road.edge_of
+        self._joints = road.joints
+        self._next_lanes, self._lanes_before = road.next_lanes, road.lanes_before
         self._has_signals = bool(libsumo.trafficlight.getIDList())
         self._meets_others = self._has_signals or road.gives_way
         self._junction_sight_m = road.sight_m
@@ -166,21 +168,24 @@ class Host:
     # What it can know.
 
     def state(self) -> HostState:
-        """Return the host's place on its edge. On a junction, or off the course's lanes, no lane is beside it.
+        """Return the host's place on its edge, or on the junction's inside where lanes go on side by side.
+
+        Elsewhere on a junction, or off the course's lanes, no lane is beside it.
 
         `limit_mps` is the present limit of the host's lane; `limits_ahead` come from the network and right of way.
         """
         vehicle, speed_mps = libsumo.vehicle, self.speeds_mps[-1]
         lane_id = vehicle.getLaneID(self.name)
         edge_id, _, index = lane_id.rpartition("_")
-        edge, lane, limit_mps = self._edges.get(edge_id), int(index), libsumo.lane.getMaxSpeed(lane_id)
+        edge, lane = self._edges.get(edge_id) or self._joints.get(edge_id), int(index)
+        limit_mps = libsumo.lane.getMaxSpeed(lane_id)
         careful, stops = self._places(speed_mps)
         if edge is None or lane not in (lanes := edge.lanes):  # on a junction, or strayed
             ahead = (*self._limits_beyond_this_lane(), *careful)
             return HostState(
                 speed_mps, lane, lane, lane, 0.0, 0.0, 0.0, 0.0, (math.inf,), limit_mps, ahead, tuple(stops)
             )
-        here, to_edge_end_m = lane - lanes[0], edge.length_m - vehicle.getLanePosition(self.name)
+        here, to_edge_end_m = lane - lanes[0], _to_lane_end_m(self.name)
         limits_ahead = edge.limits_ahead
         if careful:
             limits_ahead += tuple((metres - to_edge_end_m, slow) for metres, slow in careful)
@@ -195,6 +200,8 @@ class Host:
             to_right_m=edge.to_right_m[here],
             leads_on_m=edge.leads_on_m,
             limit_mps=limit_mps,
+            left_goes_on_m=edge.left_goes_on_m[here],
+            right_goes_on_m=edge.right_goes_on_m[here],
             limits_ahead=limits_ahead,
             stops_ahead=tuple(stops),
         )
@@ -266,9 +273,45 @@ class Host:
         else:
             modes = (AHEAD_LEFT, BEHIND_LEFT) if side > 0 else (AHEAD_RIGHT, BEHIND_RIGHT)
             ahead, behind = (libsumo.vehicle.getNeighbors(self.name, mode) for mode in modes)
+            edge, _, lane = libsumo.vehicle.getLaneID(self.name).rpartition("_")
+            beside = f"{edge}_{int(lane) + side}"
+            ahead, behind = ahead or self._next_ahead(beside), behind or self._next_behind(beside)
         ahead_m, ahead_speed = self._nearest(ahead, self._adas.standstill_gap_m)
         behind_m, behind_speed = self._nearest(behind, None)
         return Gaps(ahead_m, ahead_speed, behind_m, behind_speed)
+
+    def _next_ahead(self, lane: str) -> list[tuple[str, float]]:
+        """Return who is next beyond the end of a lane beside the host, as `getNeighbors` tells it.
+
+        SUMO itself looks no farther beyond an edge's end than the host takes to stop by emergency braking.
+        """
+        vehicle, length = libsumo.vehicle, libsumo.lane.getLength
+        found, beyond_m = [], _to_lane_end_m(self.name)
+        ways = [(one, beyond_m) for one in self._next_lanes.get(lane, ())]
+        while ways:
+            one, beyond_m = ways.pop()
+            names = libsumo.lane.getLastStepVehicleIDs(one)
+            for name in names:
+                gap_m = beyond_m + vehicle.getLanePosition(name) - vehicle.getLength(name)
+                found.append((name, gap_m - self._standstill_gap_m))
+            if not names and beyond_m < self._sight_m:
+                ways += [(ahead, beyond_m + length(one)) for ahead in self._next_lanes.get(one, ())]
+        return found
+
+    def _next_behind(self, lane: str) -> list[tuple[str, float]]:
+        """Return who is next before the beginning of a lane beside the host, as `getNeighbors` tells it."""
+        vehicle, length = libsumo.vehicle, libsumo.lane.getLength
+        found, before_m = [], vehicle.getLanePosition(self.name) - vehicle.getLength(self.name)
+        ways = [(one, before_m) for one in self._lanes_before.get(lane, ())]
+        while ways:
+            one, before_m = ways.pop()
+            names = libsumo.lane.getLastStepVehicleIDs(one)
+            for name in names:
+                gap_m = before_m + length(one) - vehicle.getLanePosition(name)
+                found.append((name, gap_m - vehicle.getMinGap(name)))
+            if not names and before_m < self._sight_m:
+                ways += [(behind, before_m + length(one)) for behind in self._lanes_before.get(one, ())]
+        return found
 
     @staticmethod
     def _nearest(neighbours: Sequence[tuple[str, float]], min_gap_m: float | None) -> tuple[float, float]:
