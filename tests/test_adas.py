@@ -713,23 +713,13 @@ def test_what_the_mask_allows_is_never_refused_and_a_forbidden_start_always_is(t
 def test_hands_off_leaves_the_speed_to_sumo_and_counts_its_lane_changes():
     adas = HandsOff(config.Adas())
     under_way = []
-    for lane in (2, 2, 3, 3, 1, 1):
-        adas.decide(LEFT, at(lane=lane), free)
-        command = adas.command(at(lane=lane), free, steps=10)
+    for changes in (0, 0, 1, 1, 2, 2):
+        adas.decide(LEFT, MIDDLE, free)
+        command = adas.command(MIDDLE._replace(sumos_lane_changes=changes), free, steps=10)
         assert (command.speed_mps, command.cross, command.steps) == (SUMO_DECIDES, 0, 1)
         under_way.append(adas.changing_lane)
     assert under_way == [False, False, True, False, True, False]
     assert (adas.lane_changes, adas.refused_decisions) == (2, 0)
-
-
-def test_hands_off_does_not_take_new_lane_numbers_beyond_a_junction_for_lane_changes():
-    adas = HandsOff(config.Adas())
-    junction = HostState(
-        20.0, 0, 0, 0, to_edge_end_m=0.0, lane_width_m=0.0, to_left_m=0.0, to_right_m=0.0, leads_on_m=(math.inf,)
-    )
-    for host in (at(lane=2, to_edge_end_m=1.0), junction, at(lane=1, to_edge_end_m=500.0), at(lane=1)):
-        adas.command(host, free, steps=1)
-    assert adas.lane_changes == 0
 
 
 # A lane that ends.

@@ -141,7 +141,7 @@ def test_gaps_beside_the_host_are_seen_over_joints(cut, inside_m, side, gap_m):
 
 
 @pytest.mark.parametrize("inside_m", INSIDE_M)
-@pytest.mark.parametrize("who", ["random"])
+@pytest.mark.parametrize("who", ["random", "sumo"])
 def test_on_short_edges_lane_changes_are_those_of_sumos_own_output_and_nobody_is_touched(
     make, outputs, cut, touching, inside_m, who
 ):

@@ -293,7 +293,6 @@ class HandsOff:
         self._keeps_limits = keeps_limits
         self.changing_lane = False
         self.lane_changes = 0
-        self._last: HostState | None = None
 
     def allowed(self, host: HostState, gaps: Callable[[int], Gaps]) -> list[bool]:
         """Return that only keeping is allowed: no decision is carried out."""
@@ -305,10 +304,8 @@ class HandsOff:
 
     def command(self, host: HostState, gaps: Callable[[int], Gaps], *, steps: int) -> Command:
         """Return one step of SUMO's own driving."""
-        last, self._last = self._last, host
-        same_edge = last is not None and 0.0 < host.to_edge_end_m <= last.to_edge_end_m  # 0 on a junction
-        self.changing_lane = last is not None and same_edge and host.lane != last.lane
-        self.lane_changes += self.changing_lane
+        self.changing_lane = host.sumos_lane_changes > self.lane_changes
+        self.lane_changes = host.sumos_lane_changes
         if not self._keeps_limits:
             return Command(SUMO_DECIDES)
         fastest = self._config.highest_mps(host.limit_mps)

@@ -44,6 +44,8 @@ BEHIND_LEFT, AHEAD_LEFT, BEHIND_RIGHT, AHEAD_RIGHT = 0, 2, 1, 3
 """SUMO's modes of `getNeighbors`."""
 WATCH_STEPS = 50
 """How long the vehicle behind is watched after the host has moved in front of it: 5 s."""
+EDGES_PER_STEP = 10
+"""Onto no more edges than these, junctions' insides included, does a vehicle come within a step."""
 SLACK_M = 100.0
 """Junctions are heeded from this much farther away than the host needs to stop comfortably from its highest speed."""
 
@@ -100,6 +102,7 @@ class Host:
         self._behind: list[_Watched] = []
         self._watched_until = 0  # as in `_Watched`, of the last of them
         self._lane_id = ""  # that SUMO's own driver was on
+        self._sumos_lane_changes = 0
         self._equip()
 
     def _equip(self) -> None:
@@ -150,6 +153,7 @@ class Host:
         """
         vehicle, types = libsumo.vehicle, libsumo.vehicletype
         self._sumo_drives = True
+        self._lane_id = vehicle.getLaneID(self.name)
         if kind is None:
             vehicle.setTau(self.name, self._adas.time_gap_s)  # as a vehicle of SUMO's, it has no other time gap
         else:
@@ -183,7 +187,19 @@ class Host:
         if edge is None or lane not in (lanes := edge.lanes):  # on a junction, or strayed
             ahead = (*self._limits_beyond_this_lane(), *careful)
             return HostState(
-                speed_mps, lane, lane, lane, 0.0, 0.0, 0.0, 0.0, (math.inf,), limit_mps, ahead, tuple(stops)
+                speed_mps=speed_mps,
+                lane=lane,
+                rightmost_lane=lane,
+                leftmost_lane=lane,
+                to_edge_end_m=0.0,
+                lane_width_m=0.0,
+                to_left_m=0.0,
+                to_right_m=0.0,
+                leads_on_m=(math.inf,),
+                limit_mps=limit_mps,
+                limits_ahead=ahead,
+                stops_ahead=tuple(stops),
+                sumos_lane_changes=self._sumos_lane_changes,
             )
         here, to_edge_end_m = lane - lanes[0], _to_lane_end_m(self.name)
         limits_ahead = edge.limits_ahead
@@ -204,6 +220,7 @@ class Host:
             right_goes_on_m=edge.right_goes_on_m[here],
             limits_ahead=limits_ahead,
             stops_ahead=tuple(stops),
+            sumos_lane_changes=self._sumos_lane_changes,
         )
 
     def _limits_beyond_this_lane(self) -> tuple[tuple[float, float], ...]:
@@ -438,11 +455,22 @@ class Host:
     def _note_lane(self) -> None:
         """Notice when SUMO's own driver has changed lanes."""
         lane_id = libsumo.vehicle.getLaneID(self.name)
-        follower = libsumo.vehicle.getFollower(self.name)
-        same_edge = lane_id.rpartition("_")[0] == self._lane_id.rpartition("_")[0]
-        if same_edge and lane_id != self._lane_id and follower and follower[0]:
-            self._watch(follower[0])
+        if lane_id != self._lane_id and self._is_beside(lane_id):
+            self._sumos_lane_changes += 1
+            follower = libsumo.vehicle.getFollower(self.name)
+            if follower and follower[0]:
+                self._watch(follower[0])
         self._lane_id = lane_id
+
+    def _is_beside(self, lane_id: str) -> bool:
+        """Whether a lane is beside the one that SUMO's own driver was on, or beside those that this one leads to."""
+        edge_id, reached = lane_id.rpartition("_")[0], {self._lane_id}
+        for _ in range(EDGES_PER_STEP):
+            on_edge = {one for one in reached if one.rpartition("_")[0] == edge_id}
+            if on_edge:
+                return lane_id not in on_edge
+            reached = {ahead for one in reached for ahead in self._next_lanes.get(one, ())}
+        return False
 
     @property
     def hard_brakings_behind(self) -> int:
