@@ -1,7 +1,7 @@
 """Whether our counts are SUMO's: python benchmarks/agreement.py [--episodes 20] [--set KEY=VALUE].
 
 SUMO writes its own account of every episode, lanechange-output and collision-output; an onlooker notes where the host
-is, sideways, after every step. On a straight road the three must agree:
+is, sideways, after every step. On a straight road, cut into edges or not, the three must agree:
 
     host's entries in lanechange-output = lane changes + 2 x aborted ones that had crossed over
 
@@ -27,7 +27,7 @@ from rail_sumo.rollout import EVALUATION, Task, drive, traffic_seed, workers
 
 
 class Watched(Simulation):
-    """Notes where the host is sideways after every step."""
+    """Notes where the host is sideways after every step, from the centre of its first lane."""
 
     def __init__(self, *arguments, left_m: list[float], **named) -> None:
         super().__init__(*arguments, **named)
@@ -35,12 +35,15 @@ class Watched(Simulation):
 
     def _step(self) -> None:
         super()._step()
-        self._left_m.append(libsumo.vehicle.getPosition(self.host.name)[1])
+        left_m = libsumo.vehicle.getPosition(self.host.name)[1]
+        if not self._left_m:
+            self._centre_m = left_m - libsumo.vehicle.getLateralLanePosition(self.host.name)
+        self._left_m.append(left_m - self._centre_m)
 
 
 def account(left_m: list[float], lane_m: float) -> tuple[int, int, int]:
     """(lane changes, aborted ones, entries SUMO must have made) of a host that was here sideways after each step."""
-    lane, offset, farthest = round(left_m[0] / lane_m), 0.0, 0.0  # the road's middle is a lane's centre
+    lane, offset, farthest = round(left_m[0] / lane_m), 0.0, 0.0
     changes = aborted = entries = 0
     for now in left_m:
         offset = abs(now - lane * lane_m)

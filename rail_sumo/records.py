@@ -78,7 +78,7 @@ class HostState(NamedTuple):
     rightmost_lane: int
     leftmost_lane: int
     to_edge_end_m: float
-    """Metres to the end of the edge; no lane can be crossed beyond it. 0 on a junction."""
+    """Metres to the end of the edge, or of the junction's inside where that is as good as one; else 0 on a junction."""
     lane_width_m: float
     to_left_m: float
     """Metres from the centre of its lane to that of the lane to the left; 0 where there is none to change to."""
@@ -91,6 +91,11 @@ class HostState(NamedTuple):
     """Metres beyond the edge's end (before it, where negative), and the highest speed from there on."""
     stops_ahead: tuple[tuple[float, float], ...] = ()
     """Metres ahead of the host itself, and how slow it must be there, in m/s, however hard it brakes for that."""
+    left_goes_on_m: float = 0.0
+    """How far beyond the edge's end the host's lane may be left for the one to its left without a break."""
+    right_goes_on_m: float = 0.0
+    sumos_lane_changes: int = 0
+    """How often SUMO's own driver has changed lanes by now, where it drives the host."""
 
     def ends_in_m(self, lane: int) -> float:
         """Return how far ahead of the host a lane stops leading on along the course."""

@@ -82,6 +82,7 @@ def network(tmp_path):
             f'<junction id="{name}{end}" type="priority" x="0" y="0" incLanes="" intLanes="" shape="0,0"/>'
             for name in names
             for end in "-+"
+            if f'<junction id="{name}{end}"' not in "".join(elements)
         )
         location = '<location netOffset="0,0" convBoundary="0,0,1,1" origBoundary="0,0,1,1" projParameter="!"/>'
         edges = [element for element in elements if element.startswith("<edge")]

@@ -13,6 +13,8 @@ KEEP, ACCELERATE, DECELERATE, LEFT, RIGHT = MetaAction
 LANE_M = 3.2
 UNSEEN = 1_900_000_000
 """Traffic seeds from here on: beyond those anybody trains or tunes on by hand."""
+LATE_M = 0.25
+"""How far before the border the host becomes a vehicle of the next lane, there and back."""
 
 
 def world(**sections):
@@ -75,6 +77,32 @@ def assert_same(one, other):
     for field in dataclasses.fields(one):
         mine, theirs = getattr(one, field.name), getattr(other, field.name)
         assert np.array_equal(mine, theirs), field.name
+
+
+def onlooker_account(left_m):
+    """(lane changes, aborted ones, entries that SUMO must have made) of a host that was here sideways after each step.
+
+    A completed change is one entry for SUMO. An aborted one is two if it had crossed over, there and back, and none
+    otherwise; one that the episode's end cuts short is as many as it had made by then.
+    """
+    lane, offset, farthest = round(left_m[0] / LANE_M), 0.0, 0.0
+    changes = aborted = entries = 0
+    for now in left_m:
+        offset = abs(now - lane * LANE_M)
+        farthest = max(farthest, offset)
+        settled = round(now / LANE_M)
+        if abs(now - settled * LANE_M) < 1e-6 and farthest > 1e-6:
+            if settled == lane:
+                aborted += 1
+                entries += 2 * (farthest >= LANE_M / 2 - LATE_M - 1e-9)
+            else:
+                changes += 1
+                entries += 1
+            lane, offset, farthest = settled, 0.0, 0.0
+    if farthest >= LANE_M / 2 - LATE_M - 1e-9:
+        is_back = offset < farthest and offset <= LANE_M / 2 + LATE_M + 1e-9
+        entries += 2 if is_back else 1
+    return changes, aborted, entries
 
 
 MERGE = """<net version="1.20">

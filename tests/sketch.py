@@ -21,3 +21,66 @@ def leads_on(here, ahead, lanes, *, direction="s", to=None, access=""):
         f'<connection from="{here}" to="{ahead}" fromLane="{k}" toLane="{j}" dir="{direction}" state="M" {access}/>'
         for k, j in zip(lanes, lanes if to is None else to, strict=True)
     )
+
+
+def cut_road(*lengths_m, lanes=3, inside_m=0.0, width=3.2):
+    """A road that runs east, cut into edges part0, part1, ...; a whole network, which SUMO loads too.
+
+    They meet at junctions cut0, cut1, ... where nobody else comes, `inside_m` long within; without it there are no
+    internal lanes. The right lane lies on y = 0.
+    """
+
+    def rows(edge_id, start_m, length_m):
+        return "".join(
+            f'<lane id="{edge_id}_{k}" index="{k}" speed="36.11" length="{length_m:.2f}" width="{width}" '
+            f'shape="{start_m},{k * width} {start_m + length_m},{k * width}"/>'
+            for k in range(lanes)
+        )
+
+    def names(edge_id):
+        return " ".join(f"{edge_id}_{k}" for k in range(lanes))
+
+    internal, edges, junctions, connections, start_m = "", "", "", "", 0.0
+    for number, length_m in enumerate(lengths_m):
+        ends = (
+            "west" if not number else f"cut{number - 1}",
+            "east" if number + 1 == len(lengths_m) else f"cut{number}",
+        )
+        edges += (
+            f'<edge id="part{number}" from="{ends[0]}" to="{ends[1]}">{rows(f"part{number}", start_m, length_m)}</edge>'
+        )
+        start_m += length_m
+        if number + 1 == len(lengths_m):
+            break
+        inside = f":cut{number}_0"
+        if inside_m:
+            internal += f'<edge id="{inside}" function="internal">{rows(inside, start_m, inside_m)}</edge>'
+        requests = "".join(
+            f'<request index="{k}" response="{"0" * lanes}" foes="{"0" * lanes}" cont="0"/>' for k in range(lanes)
+        )
+        junctions += (
+            f'<junction id="cut{number}" type="priority" x="{start_m}" y="0" incLanes="{names(f"part{number}")}" '
+            f'intLanes="{names(inside) if inside_m else ""}" shape="{start_m},-2 {start_m + inside_m},-2 {start_m},12">'
+            f"{requests}</junction>"
+        )
+        for k in range(lanes):
+            via = f'via="{inside}_{k}" ' if inside_m else ""
+            connections += (
+                f'<connection from="part{number}" to="part{number + 1}" fromLane="{k}" toLane="{k}" {via}'
+                f'dir="s" state="M"/>'
+            )
+            if inside_m:
+                connections += (
+                    f'<connection from="{inside}" to="part{number + 1}" fromLane="{k}" toLane="{k}" dir="s" state="M"/>'
+                )
+        start_m += inside_m
+    last = f"part{len(lengths_m) - 1}"
+    dead_ends = (
+        '<junction id="west" type="dead_end" x="0" y="0" incLanes="" intLanes="" shape="0,-2 0,12"/>'
+        f'<junction id="east" type="dead_end" x="{start_m}" y="0" incLanes="{names(last)}" intLanes="" '
+        f'shape="{start_m},-2 {start_m},12"/>'
+    )
+    location = (
+        f'<location netOffset="0,0" convBoundary="0,0,{start_m},0" origBoundary="0,0,{start_m},0" projParameter="!"/>'
+    )
+    return f'<net version="1.20">{location}{internal}{edges}{junctions}{dead_ends}{connections}</net>'

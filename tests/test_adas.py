@@ -291,6 +291,11 @@ def test_sumos_own_driver_decides_its_speed_but_for_limits():
         (LEFT, at(to_edge_end_m=41.1), free),  # 20 m/s for 3.2 / 1.7 s are 37.65 m, and at 2 m/s² 3.54 m more
         (LEFT, at(speed_mps=0.0, to_edge_end_m=3.5), free),
         (LEFT, at(to_edge_end_m=37.6, leads_on_m=ENDING), free),
+        # Beyond the edge 0.2 s more, since it may have to wait beside the border: 41.65 m, and at 2 m/s² 4.34 m more.
+        (LEFT, at(to_edge_end_m=10.0, left_goes_on_m=35.9), free),
+        (LEFT, at(to_edge_end_m=10.0, right_goes_on_m=100.0), free),
+        (RIGHT, at(to_edge_end_m=10.0, left_goes_on_m=100.0), free),
+        (LEFT, at(to_edge_end_m=0.0, to_left_m=0.0, left_goes_on_m=100.0), free),
         (LEFT, MIDDLE, closed_on(1)),
         (RIGHT, MIDDLE, closed_on(-1)),
     ],
@@ -314,6 +319,9 @@ def test_a_change_without_lane_or_road_or_gap_is_refused_counted_and_not_begun(a
         (LEFT, at(speed_mps=80 / KMH, to_edge_end_m=41.9), free),  # it gets no faster
         (LEFT, at(to_edge_end_m=37.7, leads_on_m=ENDING), free),
         (LEFT, at(speed_mps=0.0, to_edge_end_m=0.1, leads_on_m=ENDING), free),
+        (LEFT, at(to_edge_end_m=10.0, left_goes_on_m=36.1), free),
+        (RIGHT, at(to_edge_end_m=10.0, right_goes_on_m=36.1), free),
+        (LEFT, at(to_edge_end_m=10.0, left_goes_on_m=math.inf), free),
     ],
 )
 def test_a_change_into_a_free_lane_is_allowed_whatever_the_other_lanes_hold(adas, action, host, gaps):
@@ -481,6 +489,60 @@ def test_between_lanes_of_unequal_width_the_host_crosses_before_the_border_and_e
     assert commands[crossed - 1].lateral_m == pytest.approx(12 * STRIDE_M - 3.85)
     assert len(commands) == 23  # 3.85 / 0.17 = 22.6
     assert commands[-1].lateral_m == pytest.approx(0.0)
+
+
+# Changes that go on over the end of an edge.
+
+
+def test_in_the_step_that_takes_it_on_to_the_next_edge_the_host_waits_beside_the_border(road):
+    """There its lane may have another number, and SUMO would take the order for another lane."""
+    road.decide(LEFT)
+    road.step(7)  # 1.19 m; the next step would cross
+    road.host = road.host._replace(to_edge_end_m=2.0, left_goes_on_m=100.0)  # a step's travel
+    road.step()
+    assert (road.crossings, road.commands[-1].lateral_m) == ([], pytest.approx(7 * STRIDE_M))
+    road.host = at(1, to_edge_end_m=100.0)  # the same lane, one number lower
+    road.step()
+    assert (road.crossings, road.host.lane) == ([1], 2)
+    assert road.commands[-1].lateral_m == pytest.approx(8 * STRIDE_M - LANE_M)
+    road.finish()
+    assert road.counts == (1, 0, 0)
+
+
+def test_on_its_way_back_too_it_waits_there(road):
+    road.decide(LEFT)
+    road.step(12)
+    road.decide(RIGHT)
+    road.step(1)  # 1.87 m; the next step would cross back
+    road.host = road.host._replace(to_edge_end_m=2.0, right_goes_on_m=100.0)
+    road.step()
+    assert (road.crossings, road.adas.lateral_m) == ([1], pytest.approx(11 * STRIDE_M))
+    road.host = road.host._replace(to_edge_end_m=100.0)
+    road.finish()
+    assert (road.crossings, road.host.lane, road.counts) == ([1, -1], 2, (0, 1, 0))
+
+
+def test_away_from_the_border_nothing_waits_for_the_next_edge(road):
+    road.decide(LEFT)
+    road.host = road.host._replace(to_edge_end_m=1.0, left_goes_on_m=100.0)
+    road.step(7)
+    assert road.adas.lateral_m == pytest.approx(7 * STRIDE_M)
+
+
+def test_where_there_is_no_lane_beside_any_more_the_host_turns_back(road):
+    road.decide(LEFT)
+    road.step(5)
+    road.host = at(2, to_left_m=0.0)
+    road.finish()
+    assert (road.crossings, road.counts) == ([], (0, 1, 0))
+
+
+@pytest.mark.parametrize(("goes_on_m", "turns_back"), [(46.1, True), (45.9, False)])
+def test_once_across_the_way_back_may_lead_over_the_end_of_the_edge(road, goes_on_m, turns_back):
+    road.decide(LEFT)
+    road.step(12)
+    road.host = road.host._replace(to_edge_end_m=0.0, left_goes_on_m=100.0, right_goes_on_m=goes_on_m)
+    assert road.adas.allowed(road.host, free)[RIGHT] == turns_back
 
 
 # Lanes that end.
@@ -651,23 +713,13 @@ def test_what_the_mask_allows_is_never_refused_and_a_forbidden_start_always_is(t
 def test_hands_off_leaves_the_speed_to_sumo_and_counts_its_lane_changes():
     adas = HandsOff(config.Adas())
     under_way = []
-    for lane in (2, 2, 3, 3, 1, 1):
-        adas.decide(LEFT, at(lane=lane), free)
-        command = adas.command(at(lane=lane), free, steps=10)
+    for changes in (0, 0, 1, 1, 2, 2):
+        adas.decide(LEFT, MIDDLE, free)
+        command = adas.command(MIDDLE._replace(sumos_lane_changes=changes), free, steps=10)
         assert (command.speed_mps, command.cross, command.steps) == (SUMO_DECIDES, 0, 1)
         under_way.append(adas.changing_lane)
     assert under_way == [False, False, True, False, True, False]
     assert (adas.lane_changes, adas.refused_decisions) == (2, 0)
-
-
-def test_hands_off_does_not_take_new_lane_numbers_beyond_a_junction_for_lane_changes():
-    adas = HandsOff(config.Adas())
-    junction = HostState(
-        20.0, 0, 0, 0, to_edge_end_m=0.0, lane_width_m=0.0, to_left_m=0.0, to_right_m=0.0, leads_on_m=(math.inf,)
-    )
-    for host in (at(lane=2, to_edge_end_m=1.0), junction, at(lane=1, to_edge_end_m=500.0), at(lane=1)):
-        adas.command(host, free, steps=1)
-    assert adas.lane_changes == 0
 
 
 # A lane that ends.

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
-from sketch import edge, leads_on
+from sketch import cut_road, edge, leads_on
 
 from rail_sumo import assets
 from rail_sumo.errors import InputError
@@ -289,6 +289,109 @@ def test_on_a_loop_too_a_lane_ends_where_it_leads_off(network):
         "a": (150.0, math.inf, math.inf),
         "b": (0.0, math.inf, math.inf),
     }
+
+
+# Where lanes go on side by side beyond their edge.
+
+
+@pytest.fixture
+def cut(tmp_path):
+    """A road of 100, 50 and 200 m, or another, with replacements in its network's text."""
+
+    def load(*replacements, lengths_m=(100, 50, 200), **arguments):
+        path = tmp_path / "cut.net.xml"
+        text = cut_road(*lengths_m, **arguments)
+        for old, new in replacements:
+            assert old in text
+            text = text.replace(old, new)
+        path.write_text(text)
+        return road.load(str(path))
+
+    return load
+
+
+@pytest.mark.parametrize("inside_m", [0.0, 0.1, 8.0])
+def test_over_a_joint_lanes_go_on_side_by_side_to_the_end_of_the_course(cut, inside_m):
+    first, second, third = cut(inside_m=inside_m).edges
+    whole, half = 50 + 200 + 2 * inside_m, 200 + inside_m
+    assert first.left_goes_on_m == pytest.approx((whole, whole, 0.0))
+    assert first.right_goes_on_m == pytest.approx((0.0, whole, whole))
+    assert (second.left_goes_on_m, second.right_goes_on_m) == (
+        pytest.approx((half, half, 0.0)),
+        pytest.approx((0.0, half, half)),
+    )
+    assert third.left_goes_on_m == third.right_goes_on_m == (0.0, 0.0, 0.0)
+
+
+def test_round_a_loop_lanes_go_on_side_by_side_for_ever():
+    for part in road.load("ring5").edges:
+        assert part.left_goes_on_m == (math.inf,) * 4 + (0.0,)
+        assert part.right_goes_on_m == (0.0,) + (math.inf,) * 4
+
+
+FIRST = 'part1" fromLane="{0}" toLane="{0}" via=":cut0_0_{0}" dir="s" state="M"'
+"""The connection from a lane at the first joint."""
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "left", "right"),
+    [
+        # Lane 2 meets somebody, at both joints.
+        ('index="2" response="000" foes="000"', 'index="2" response="000" foes="100"', (1, 0, 0), (0, 1, 0)),
+        (FIRST.format(2), FIRST.format(2).replace('dir="s"', 'dir="r"'), (1, 0, 0), (0, 1, 0)),
+        (FIRST.format(0), FIRST.format(0).replace('state="M"', 'state="m"'), (0, 0, 0), (0, 0, 0)),
+        (FIRST.format(0), FIRST.format(0).replace("via", 'tl="cut0" linkIndex="0" via'), (0, 0, 0), (0, 0, 0)),
+        # Lines, within the junction and on the edge behind it, that are crossed one way only.
+        ('id=":cut0_0_0"', 'id=":cut0_0_0" changeLeft="bus"', (0, 1, 0), (0, 1, 1)),
+        ('id="part1_2"', 'id="part1_2" changeRight="bus"', (1, 1, 0), (0, 1, 0)),
+        # A lane that is wider behind the joint, and one that leads to two.
+        ('id="part1_2" index="2" speed="36.11" length="50.00" width="3.2"', "WIDE", (1, 0, 0), (0, 1, 0)),
+    ],
+)
+def test_what_parts_lanes_at_a_joint(cut, old, new, left, right):
+    wide = 'id="part1_2" index="2" speed="36.11" length="50.00" width="3.5"'
+    first = cut((old, wide if new == "WIDE" else new), inside_m=8.0).edges[0]
+    assert [bool(metres) for metres in first.left_goes_on_m] == list(map(bool, left))
+    assert [bool(metres) for metres in first.right_goes_on_m] == list(map(bool, right))
+
+
+def test_a_lane_that_leads_to_two_goes_on_beside_neither(cut):
+    """The middle lane leads to the right one as well, so that it is open to where the host drives on."""
+    more = '<connection from="part0" to="part1" fromLane="1" toLane="0" dir="s" state="M"/></net>'
+    first = cut(("</net>", more)).edges[0]
+    assert first.left_goes_on_m == first.right_goes_on_m == (0.0, 0.0, 0.0)
+
+
+def test_lanes_may_go_on_under_other_numbers(network):
+    requests = "".join(f'<request index="{k}" response="00" foes="00"/>' for k in (0, 1))
+    joint = f'<junction id="a+" type="priority" x="0" y="0" incLanes="a_0 a_1" intLanes="" shape="0,0">{requests}'
+    ways = leads_on("a", "b", [0, 1], to=[1, 2])
+    first, second = road.load(
+        network(edge("a"), edge("b", lanes=3, x=(100.0, 250.0)), ways, f"{joint}</junction>")
+    ).edges
+    assert (first.left_goes_on_m, first.right_goes_on_m) == ((150.0, 0.0), (0.0, 150.0))
+    assert second.left_goes_on_m == (0.0, 0.0, 0.0)
+
+
+def test_where_lanes_go_on_side_by_side_the_inside_of_a_junction_is_told_as_an_edge(cut):
+    one_way = ('id="part1_2"', 'id="part1_2" changeRight="bus"')
+    slow = cut(one_way, inside_m=8.0)
+    assert set(slow.joints) == {":cut0_0", ":cut1_0"}
+    inside = slow.joints[":cut0_0"]
+    assert (inside.length_m, inside.limit_mps, inside.lane_widths_m) == (8.0, 36.11, (3.2, 3.2, 3.2))
+    assert (inside.to_left_m, inside.to_right_m) == ((3.2, 3.2, 0.0), (0.0, 3.2, 0.0))  # as on the edge behind it
+    assert inside.left_goes_on_m == (258.0, 258.0, 0.0)
+    assert inside.right_goes_on_m == (0.0, 258.0, 0.0)
+    assert inside.limits_ahead == ((0.0, 36.11), (50.0, 36.11), (58.0, 36.11))
+    assert set(inside.leads_on_m) == {math.inf}
+    assert not cut().joints
+
+
+def test_each_lane_tells_the_lanes_it_leads_to_and_those_before_it(cut):
+    chain = cut(inside_m=8.0, lengths_m=(100, 50), lanes=1)
+    assert chain.next_lanes == {"part0_0": (":cut0_0_0",), ":cut0_0_0": ("part1_0",)}
+    assert chain.lanes_before == {":cut0_0_0": ("part0_0",), "part1_0": (":cut0_0_0",)}
+    assert cut(lengths_m=(100, 50), lanes=1).next_lanes == {"part0_0": ("part1_0",)}
 
 
 def test_lanes_closed_to_cars_belong_to_the_verge(network):

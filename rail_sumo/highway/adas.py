@@ -141,7 +141,7 @@ class Adas:
         """
         if not _across(host, side):
             return False
-        if not self._has_room(host, _across(host, side)):
+        if not self._has_room(host, side, _across(host, side)):
             return False
         if host.ends_in_m(host.lane + side) < LEAVE_LANE_M and side != _way_on(host):
             return False
@@ -152,18 +152,21 @@ class Adas:
             return True
         assert self._side is not None
         back = LEFT if self._side == RIGHT else RIGHT
-        room = self._has_room(host, self._width)
+        room = self._has_room(host, back, self._width)
         return bool(_across(host, back)) and room and self._safe(host.speed_mps, gaps(back))
 
-    def _has_room(self, host: HostState, across_m: float) -> bool:
-        """Whether a change over so many metres ends before the edge does, even if the host speeds up meanwhile.
+    def _has_room(self, host: HostState, side: Side, across_m: float) -> bool:
+        """Whether a change over so many metres ends before the lanes part, even if the host speeds up meanwhile.
 
-        A lane that does not lead on holds it on the edge.
+        A lane that does not lead on holds it back.
         """
-        seconds = across_m / self._config.lateral_speed_mps
-        faster = self._config.acceleration_mps2 if host.ends_in_m(host.lane) > host.to_edge_end_m else 0.0
+        goes_on_m = host.left_goes_on_m if side == LEFT else host.right_goes_on_m
+        room_m, seconds = host.to_edge_end_m + goes_on_m, across_m / self._config.lateral_speed_mps
+        if goes_on_m:
+            seconds += 2 * SECONDS_PER_STEP  # it may have to wait before it crosses over, see `_sideways`
+        faster = self._config.acceleration_mps2 if host.ends_in_m(host.lane) > room_m else 0.0
         fastest = max(host.speed_mps, self._config.highest_mps(host.limit_mps))
-        return host.to_edge_end_m >= min(host.speed_mps + 0.5 * faster * seconds, fastest) * seconds
+        return room_m >= min(host.speed_mps + 0.5 * faster * seconds, fastest) * seconds
 
     def _safe(self, speed_mps: float, gap: Gaps) -> bool:
         """The gate: neither the host behind its new leader nor the new follower needs to brake hard."""
@@ -174,14 +177,23 @@ class Adas:
         return gap.ahead_m >= standstill + ahead and gap.behind_m >= standstill + behind
 
     def _sideways(self, side: Side, speed: float, host: HostState, gaps: Callable[[int], Gaps]) -> Command:
-        """One step of the change under way."""
+        """One step of the change under way.
+
+        The host does not cross over in a step that may take it on to the next edge, where its lane may have another
+        number: it waits beside the border.
+        """
         about_to_cross = self._crossed == self._reversing
-        into = -side if self._crossed else side
-        if about_to_cross and not self._safe(host.speed_mps, gaps(into)):
+        into: Side = RIGHT if (side == LEFT) == self._crossed else LEFT
+        if about_to_cross and not (_across(host, into) and self._safe(host.speed_mps, gaps(into))):
             self._reversing = not self._reversing  # the lane the host is a vehicle of is always open to it
         stride = self._config.lateral_speed_mps * SECONDS_PER_STEP
-        self._moved = min(max(self._moved + (-stride if self._reversing else stride), 0.0), self._width)
-        cross = self._cross(side)
+        moved = min(max(self._moved + (-stride if self._reversing else stride), 0.0), self._width)
+        cross = self._cross(side, moved)
+        fastest = host.speed_mps + self._config.acceleration_mps2 * SECONDS_PER_STEP
+        if cross and host.to_edge_end_m <= fastest * SECONDS_PER_STEP:
+            cross, moved = 0, self._moved
+        self._moved = moved
+        self._crossed ^= bool(cross)
         lateral = side * (self._moved - (self._width if self._crossed else 0.0))
         if self._moved == (0.0 if self._reversing else self._width):
             if self._reversing:
@@ -191,13 +203,11 @@ class Adas:
             self._side = None
         return Command(speed, lateral, cross)
 
-    def _cross(self, side: Side) -> int:
+    def _cross(self, side: Side, moved: float) -> int:
         """Cross over a little before the border, in either direction of travel."""
-        if not self._crossed and not self._reversing and self._moved >= self._border - LATE_LATERAL_M:
-            self._crossed = True
+        if not self._crossed and not self._reversing and moved >= self._border - LATE_LATERAL_M:
             return side
-        if self._crossed and self._reversing and self._moved <= self._border + LATE_LATERAL_M:
-            self._crossed = False
+        if self._crossed and self._reversing and moved <= self._border + LATE_LATERAL_M:
             return -side
         return 0
 
@@ -283,7 +293,6 @@ class HandsOff:
         self._keeps_limits = keeps_limits
         self.changing_lane = False
         self.lane_changes = 0
-        self._last: HostState | None = None
 
     def allowed(self, host: HostState, gaps: Callable[[int], Gaps]) -> list[bool]:
         """Return that only keeping is allowed: no decision is carried out."""
@@ -295,10 +304,8 @@ class HandsOff:
 
     def command(self, host: HostState, gaps: Callable[[int], Gaps], *, steps: int) -> Command:
         """Return one step of SUMO's own driving."""
-        last, self._last = self._last, host
-        same_edge = last is not None and 0.0 < host.to_edge_end_m <= last.to_edge_end_m  # 0 on a junction
-        self.changing_lane = last is not None and same_edge and host.lane != last.lane
-        self.lane_changes += self.changing_lane
+        self.changing_lane = host.sumos_lane_changes > self.lane_changes
+        self.lane_changes = host.sumos_lane_changes
         if not self._keeps_limits:
             return Command(SUMO_DECIDES)
         fastest = self._config.highest_mps(host.limit_mps)

@@ -44,6 +44,8 @@ BEHIND_LEFT, AHEAD_LEFT, BEHIND_RIGHT, AHEAD_RIGHT = 0, 2, 1, 3
 """SUMO's modes of `getNeighbors`."""
 WATCH_STEPS = 50
 """How long the vehicle behind is watched after the host has moved in front of it: 5 s."""
+EDGES_PER_STEP = 10
+"""Onto no more edges than these, junctions' insides included, does a vehicle come within a step."""
 SLACK_M = 100.0
 """Junctions are heeded from this much farther away than the host needs to stop comfortably from its highest speed."""
 
@@ -74,6 +76,8 @@ class Host:
         self._adas = adas
         self.fastest_mps = adas.highest_mps(road.highest_limit_mps)
         self._edges = road.edge_of
+        self._joints = road.joints
+        self._next_lanes, self._lanes_before = road.next_lanes, road.lanes_before
         self._has_signals = bool(libsumo.trafficlight.getIDList())
         self._meets_others = self._has_signals or road.gives_way
         self._junction_sight_m = road.sight_m
@@ -98,6 +102,7 @@ class Host:
         self._behind: list[_Watched] = []
         self._watched_until = 0  # as in `_Watched`, of the last of them
         self._lane_id = ""  # that SUMO's own driver was on
+        self._sumos_lane_changes = 0
         self._equip()
 
     def _equip(self) -> None:
@@ -148,6 +153,7 @@ class Host:
         """
         vehicle, types = libsumo.vehicle, libsumo.vehicletype
         self._sumo_drives = True
+        self._lane_id = vehicle.getLaneID(self.name)
         if kind is None:
             vehicle.setTau(self.name, self._adas.time_gap_s)  # as a vehicle of SUMO's, it has no other time gap
         else:
@@ -166,21 +172,36 @@ class Host:
     # What it can know.
 
     def state(self) -> HostState:
-        """Return the host's place on its edge. On a junction, or off the course's lanes, no lane is beside it.
+        """Return the host's place on its edge, or on the junction's inside where lanes go on side by side.
+
+        Elsewhere on a junction, or off the course's lanes, no lane is beside it.
 
         `limit_mps` is the present limit of the host's lane; `limits_ahead` come from the network and right of way.
         """
         vehicle, speed_mps = libsumo.vehicle, self.speeds_mps[-1]
         lane_id = vehicle.getLaneID(self.name)
         edge_id, _, index = lane_id.rpartition("_")
-        edge, lane, limit_mps = self._edges.get(edge_id), int(index), libsumo.lane.getMaxSpeed(lane_id)
+        edge, lane = self._edges.get(edge_id) or self._joints.get(edge_id), int(index)
+        limit_mps = libsumo.lane.getMaxSpeed(lane_id)
         careful, stops = self._places(speed_mps)
         if edge is None or lane not in (lanes := edge.lanes):  # on a junction, or strayed
             ahead = (*self._limits_beyond_this_lane(), *careful)
             return HostState(
-                speed_mps, lane, lane, lane, 0.0, 0.0, 0.0, 0.0, (math.inf,), limit_mps, ahead, tuple(stops)
+                speed_mps=speed_mps,
+                lane=lane,
+                rightmost_lane=lane,
+                leftmost_lane=lane,
+                to_edge_end_m=0.0,
+                lane_width_m=0.0,
+                to_left_m=0.0,
+                to_right_m=0.0,
+                leads_on_m=(math.inf,),
+                limit_mps=limit_mps,
+                limits_ahead=ahead,
+                stops_ahead=tuple(stops),
+                sumos_lane_changes=self._sumos_lane_changes,
             )
-        here, to_edge_end_m = lane - lanes[0], edge.length_m - vehicle.getLanePosition(self.name)
+        here, to_edge_end_m = lane - lanes[0], _to_lane_end_m(self.name)
         limits_ahead = edge.limits_ahead
         if careful:
             limits_ahead += tuple((metres - to_edge_end_m, slow) for metres, slow in careful)
@@ -195,8 +216,11 @@ class Host:
             to_right_m=edge.to_right_m[here],
             leads_on_m=edge.leads_on_m,
             limit_mps=limit_mps,
+            left_goes_on_m=edge.left_goes_on_m[here],
+            right_goes_on_m=edge.right_goes_on_m[here],
             limits_ahead=limits_ahead,
             stops_ahead=tuple(stops),
+            sumos_lane_changes=self._sumos_lane_changes,
         )
 
     @property
@@ -274,9 +298,45 @@ class Host:
         else:
             modes = (AHEAD_LEFT, BEHIND_LEFT) if side > 0 else (AHEAD_RIGHT, BEHIND_RIGHT)
             ahead, behind = (libsumo.vehicle.getNeighbors(self.name, mode) for mode in modes)
+            edge, _, lane = libsumo.vehicle.getLaneID(self.name).rpartition("_")
+            beside = f"{edge}_{int(lane) + side}"
+            ahead, behind = ahead or self._next_ahead(beside), behind or self._next_behind(beside)
         ahead_m, ahead_speed = self._nearest(ahead, self._adas.standstill_gap_m)
         behind_m, behind_speed = self._nearest(behind, None)
         return Gaps(ahead_m, ahead_speed, behind_m, behind_speed)
+
+    def _next_ahead(self, lane: str) -> list[tuple[str, float]]:
+        """Return who is next beyond the end of a lane beside the host, as `getNeighbors` tells it.
+
+        SUMO itself looks no farther beyond an edge's end than the host takes to stop by emergency braking.
+        """
+        vehicle, length = libsumo.vehicle, libsumo.lane.getLength
+        found, beyond_m = [], _to_lane_end_m(self.name)
+        ways = [(one, beyond_m) for one in self._next_lanes.get(lane, ())]
+        while ways:
+            one, beyond_m = ways.pop()
+            names = libsumo.lane.getLastStepVehicleIDs(one)
+            for name in names:
+                gap_m = beyond_m + vehicle.getLanePosition(name) - vehicle.getLength(name)
+                found.append((name, gap_m - self._standstill_gap_m))
+            if not names and beyond_m < self._sight_m:
+                ways += [(ahead, beyond_m + length(one)) for ahead in self._next_lanes.get(one, ())]
+        return found
+
+    def _next_behind(self, lane: str) -> list[tuple[str, float]]:
+        """Return who is next before the beginning of a lane beside the host, as `getNeighbors` tells it."""
+        vehicle, length = libsumo.vehicle, libsumo.lane.getLength
+        found, before_m = [], vehicle.getLanePosition(self.name) - vehicle.getLength(self.name)
+        ways = [(one, before_m) for one in self._lanes_before.get(lane, ())]
+        while ways:
+            one, before_m = ways.pop()
+            names = libsumo.lane.getLastStepVehicleIDs(one)
+            for name in names:
+                gap_m = before_m + length(one) - vehicle.getLanePosition(name)
+                found.append((name, gap_m - vehicle.getMinGap(name)))
+            if not names and before_m < self._sight_m:
+                ways += [(behind, before_m + length(one)) for behind in self._lanes_before.get(one, ())]
+        return found
 
     @staticmethod
     def _nearest(neighbours: Sequence[tuple[str, float]], min_gap_m: float | None) -> tuple[float, float]:
@@ -403,11 +463,22 @@ class Host:
     def _note_lane(self) -> None:
         """Notice when SUMO's own driver has changed lanes."""
         lane_id = libsumo.vehicle.getLaneID(self.name)
-        follower = libsumo.vehicle.getFollower(self.name)
-        same_edge = lane_id.rpartition("_")[0] == self._lane_id.rpartition("_")[0]
-        if same_edge and lane_id != self._lane_id and follower and follower[0]:
-            self._watch(follower[0])
+        if lane_id != self._lane_id and self._is_beside(lane_id):
+            self._sumos_lane_changes += 1
+            follower = libsumo.vehicle.getFollower(self.name)
+            if follower and follower[0]:
+                self._watch(follower[0])
         self._lane_id = lane_id
+
+    def _is_beside(self, lane_id: str) -> bool:
+        """Whether a lane is beside the one that SUMO's own driver was on, or beside those that this one leads to."""
+        edge_id, reached = lane_id.rpartition("_")[0], {self._lane_id}
+        for _ in range(EDGES_PER_STEP):
+            on_edge = {one for one in reached if one.rpartition("_")[0] == edge_id}
+            if on_edge:
+                return lane_id not in on_edge
+            reached = {ahead for one in reached for ahead in self._next_lanes.get(one, ())}
+        return False
 
     @property
     def hard_brakings_behind(self) -> int:

@@ -4,6 +4,7 @@ import itertools
 import math
 import xml.sax
 from bisect import bisect_right
+from collections import Counter
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property, lru_cache
@@ -33,6 +34,9 @@ FORESIGHT_M = 500.0
 SAME_POINT_M = 0.05
 """Points of a border closer than this are one; netconvert rounds to 0.01 m."""
 
+MAJOR = "M"
+"""State of a connection with priority and without a signal. SUMO changes lanes within junctions on such alone."""
+
 
 @dataclass(frozen=True, slots=True)
 class Edge:
@@ -51,6 +55,11 @@ class Edge:
     """The same to its right."""
     leads_on_m: tuple[float, ...]
     """For each lane: how far beyond the edge's end it leads on along the course, junctions left out; inf to its end."""
+    left_goes_on_m: tuple[float, ...]
+    """For each lane: how far beyond the edge's end it may be left for the lane to its left without a break: both lead
+    on side by side, through junctions without conflicts, and no line forbids it. Junctions count; inf round a loop."""
+    right_goes_on_m: tuple[float, ...]
+    """The same to its right."""
     first_lane: int = 0
     """SUMO's index of the rightmost lane open to cars: above 0 beside a pavement or a bus lane."""
 
@@ -85,6 +94,10 @@ class Road:
     net_file: Path
     name: str
     edges: tuple[Edge, ...]
+    joints: Mapping[str, Edge]
+    """The junctions' inside where lanes go on side by side and may be changed, as edges, by SUMO's ids of these."""
+    next_lanes: Mapping[str, tuple[str, ...]]
+    """For each lane of the course, and within its junctions: the lanes it leads to along the course."""
     junctions_m: tuple[float, ...]
     """How long the way through the junction after each edge is; after a chain's last edge 0."""
     is_loop: bool
@@ -112,6 +125,15 @@ class Road:
     def edge_of(self) -> Mapping[str, Edge]:
         """Its edges by their ids."""
         return {edge.id: edge for edge in self.edges}
+
+    @cached_property
+    def lanes_before(self) -> Mapping[str, tuple[str, ...]]:
+        """For each lane: the lanes that lead to it along the course; the reverse of `next_lanes`."""
+        before: dict[str, tuple[str, ...]] = {}
+        for lane, ahead in self.next_lanes.items():
+            for one in ahead:
+                before[one] = (*before.get(one, ()), lane)
+        return before
 
     @cached_property
     def _starts_m(self) -> tuple[float, ...]:
@@ -188,12 +210,17 @@ def warnings(road: Road) -> Iterator[str]:
 
 @lru_cache(maxsize=32)
 def _limited(road: Road, factor: float) -> Road:
-    return replace(road, edges=tuple(edge.limited(factor) for edge in road.edges))
+    return replace(
+        road,
+        edges=tuple(edge.limited(factor) for edge in road.edges),
+        joints={name: joint.limited(factor) for name, joint in road.joints.items()},
+    )
 
 
 @lru_cache(maxsize=32)
 def _load(path: Path, wanted: tuple[str, ...], state: tuple[int, int]) -> Road:
-    net, sight_m, is_left_hand = _read(path, state)
+    reader = _read(path, state)
+    net, is_left_hand = reader.getNet(), reader.is_left_hand
     edges, is_loop = course.along(net, path.name, wanted) if wanted else course.longest(net, path.name)
     joints = [connections(here, ahead) for here, ahead in itertools.pairwise(edges)]
     joints.append(connections(edges[-1], edges[0]) if is_loop else [])
@@ -202,28 +229,47 @@ def _load(path: Path, wanted: tuple[str, ...], state: tuple[int, int]) -> Road:
         [_border(net, edges, joints, is_loop, side, mirrored=is_left_hand) for side in ("right", "left")]
     )
     boundaries.setflags(write=False)
+    abreast = [_abreast(net, joint, reader.without_foes) for joint in joints]
+    course_edges = tuple(
+        map(
+            _edge,
+            edges,
+            _leads_on_m(edges, joints, is_loop),
+            _limits_ahead(net, edges, joints, junctions_m),
+            _goes_on_m(net, edges, abreast, is_loop, CHANGE_LEFT),
+            _goes_on_m(net, edges, abreast, is_loop, CHANGE_RIGHT),
+        )
+    )
+    following = (*course_edges[1:], course_edges[0])
+    inside = [
+        _joint(net, joint, pairs, ahead)
+        for joint, pairs, ahead in zip(joints, abreast, following, strict=True)
+        if pairs and joint[0].getViaLaneID()
+    ]
     return Road(
         net_file=path,
         name=assets.network_name(path.name),
-        edges=tuple(
-            map(_edge, edges, _leads_on_m(edges, joints, is_loop), _limits_ahead(net, edges, joints, junctions_m))
-        ),
+        edges=course_edges,
+        joints={joint.id: joint for joint in inside},
+        next_lanes=_next_lanes(net, joints),
         junctions_m=junctions_m,
         is_loop=is_loop,
         gives_way=not all(c.getState().isupper() for joint in joints for c in joint),  # a small letter or =
-        sight_m=sight_m,
+        sight_m=reader.sight_m,
         is_left_hand=is_left_hand,
         boundaries=boundaries,
     )
 
 
 class _Reader(sumolib.net.NetReader):
-    """Reads also what sumolib leaves out: on which side to drive, who may change lanes, and how far drivers see."""
+    """Also reads what sumolib drops: `lefthand`, `changeLeft` and `changeRight`, `visibility`, and who has no foes."""
 
     def __init__(self) -> None:
         super().__init__(withInternal=True, withFoes=False)
         self.is_left_hand = False
         self.sight_m: dict[str, float] = {}
+        self.without_foes: set[tuple[str, int]] = set()
+        """Junctions, and the indices of their connections that no other stream crosses or joins."""
 
     def startElement(self, name: str, attrs: Any) -> None:
         self.is_left_hand = self.is_left_hand or (name == "net" and attrs.get("lefthand") == "true")
@@ -233,10 +279,12 @@ class _Reader(sumolib.net.NetReader):
                 self._currentLane.setParam(side, attrs[side])
         if name == "connection" and "visibility" in attrs and "via" in attrs:
             self.sight_m[attrs["via"]] = float(attrs["visibility"])
+        if name == "request" and "1" not in attrs["foes"]:
+            self.without_foes.add((self._currentNode.getID(), int(attrs["index"])))
 
 
 @lru_cache(maxsize=16)  # the host may take another course in every episode, on one of several networks
-def _read(path: Path, state: tuple[int, int]) -> tuple[Any, dict[str, float], bool]:
+def _read(path: Path, state: tuple[int, int]) -> _Reader:
     # Not sumolib.net.readNet: it picks another parser when lxml is installed and leaves files open after an error.
     reader = _Reader()
     try:
@@ -246,12 +294,11 @@ def _read(path: Path, state: tuple[int, int]) -> tuple[Any, dict[str, float], bo
         raise InputError(f"network '{path.name}' is not a complete XML file: {_reason(error)}") from None
     except Exception as error:  # whatever sumolib stumbles over in a file that is XML but not a network
         raise InputError(f"network '{path.name}' is not a SUMO network: {error!r}") from None
-    net = reader.getNet()
-    if not net.getEdges(withInternal=False):
+    if not reader.getNet().getEdges(withInternal=False):
         raise InputError(
             f"network '{path.name}' has no edges; rail-sumo reads SUMO's .net.xml, and by --network a .sumocfg"
         )
-    return net, reader.sight_m, reader.is_left_hand
+    return reader
 
 
 def _reason(error: Exception) -> str:
@@ -294,22 +341,132 @@ def _limit_mps(edge: Any) -> float:
     return max(lane.getSpeed() for lane in car_lanes(edge))
 
 
-def _edge(edge: Any, leads_on_m: tuple[float, ...], limits_ahead: tuple[tuple[float, float], ...]) -> Edge:
+def _abreast(net: Any, joint: list[Any], without_foes: set[tuple[str, int]]) -> list[tuple[Any, Any]]:
+    """Return the pairs of neighbouring connections, right and left, that run side by side from edge to edge.
+
+    They have priority, lead straight on, and cross or join no other stream. Their lanes, within the junction too, are
+    neighbours of the same widths, and neither lane leads to another of the next edge besides.
+    """
+    if not joint:
+        return []
+    here, ahead = joint[0].getFrom(), joint[0].getTo()
+    if not all(c.getState() == MAJOR and not c.getTLSID() for c in here.getConnections(ahead)):
+        return []
+    ways = [(c.getFromLane(), *_inside(net, c), c.getToLane()) for c in joint]
+    inside = [lane.getID() for way in ways for lane in way[1:-1]]
+    if inside and inside != _in_a_row(inside[0], len(joint)):
+        return []
+    node, starts = here.getToNode(), Counter(way[0] for way in ways)
+    is_free = [
+        c.getDirection() == c.LINKDIR_STRAIGHT
+        and starts[c.getFromLane()] == 1
+        and (node.getID(), node.getLinkIndex(c)) in without_foes
+        and len({lane.getWidth() for lane in way}) == 1
+        for c, way in zip(joint, ways, strict=True)
+    ]
+    return [
+        (joint[k], joint[k + 1])
+        for k in range(len(joint) - 1)
+        if is_free[k]
+        and is_free[k + 1]
+        and all(left.getIndex() - right.getIndex() == 1 for right, left in zip(ways[k], ways[k + 1], strict=True))
+    ]
+
+
+def _in_a_row(lane_id: str, number: int) -> list[str]:
+    # So many lanes of one edge, from one to the left.
+    edge_id, _, index = lane_id.rpartition("_")
+    return [f"{edge_id}_{k}" for k in range(int(index), int(index) + number)]
+
+
+def _goes_on_m(
+    net: Any, edges: list[Any], abreast: list[list[tuple[Any, Any]]], is_loop: bool, side: str
+) -> list[tuple[float, ...]]:
+    # As in `_leads_on_m`: from the last edge back, twice round a loop.
+    goes_on = [dict.fromkeys(car_lanes(edge), math.inf if is_loop else 0.0) for edge in edges]
+    backwards = range(len(edges) - 1, -1, -1)
+    for k in [*backwards, *backwards] if is_loop else backwards[1:]:
+        ahead = (k + 1) % len(edges)
+        goes_on[k] = dict.fromkeys(goes_on[k], 0.0)
+        for pair in abreast[k]:
+            connection = pair[side == CHANGE_RIGHT]
+            inside = list(_inside(net, connection))
+            if all(_may_cross(lane, side) for lane in (*inside, connection.getToLane())):
+                inside_m = sum(lane.getLength() for lane in inside)
+                farther = edges[ahead].getLength() + goes_on[ahead][connection.getToLane()]
+                goes_on[k][connection.getFromLane()] = inside_m + farther
+    return [tuple(lanes.values()) for lanes in goes_on]
+
+
+def _next_lanes(net: Any, joints: list[list[Any]]) -> dict[str, tuple[str, ...]]:
+    following: dict[str, dict[str, None]] = {}  # in order, each once
+    for connection in itertools.chain.from_iterable(joints):
+        way = (connection.getFromLane(), *_inside(net, connection), connection.getToLane())
+        for lane, ahead in itertools.pairwise(way):
+            following.setdefault(lane.getID(), {})[ahead.getID()] = None
+    return {lane: tuple(ahead) for lane, ahead in following.items()}
+
+
+def _edge(
+    edge: Any,
+    leads_on_m: tuple[float, ...],
+    limits_ahead: tuple[tuple[float, float], ...],
+    left_goes_on_m: tuple[float, ...],
+    right_goes_on_m: tuple[float, ...],
+) -> Edge:
     lanes = car_lanes(edge)
-    widths = tuple(lane.getWidth() for lane in lanes)
-    pairs = list(itertools.pairwise(lanes))
-    apart = [0.5 * (width + to_its_left) for width, to_its_left in itertools.pairwise(widths)]
+    to_left_m, to_right_m = _apart_m(lanes)
     return Edge(
         id=edge.getID(),
         length_m=edge.getLength(),
         limit_mps=_limit_mps(edge),
         limits_ahead=limits_ahead,
-        lane_widths_m=widths,
-        to_left_m=(*(m * _may_cross(lane, CHANGE_LEFT) for m, (lane, _) in zip(apart, pairs, strict=True)), 0.0),
-        to_right_m=(0.0, *(m * _may_cross(lane, CHANGE_RIGHT) for m, (_, lane) in zip(apart, pairs, strict=True))),
+        lane_widths_m=tuple(lane.getWidth() for lane in lanes),
+        to_left_m=to_left_m,
+        to_right_m=to_right_m,
         leads_on_m=leads_on_m,
+        left_goes_on_m=left_goes_on_m,
+        right_goes_on_m=right_goes_on_m,
         first_lane=lanes[0].getIndex(),
     )
+
+
+def _joint(net: Any, joint: list[Any], abreast: list[tuple[Any, Any]], ahead: Edge) -> Edge:
+    # The inside of a junction as an edge: its lanes may be changed where they may on both sides of it.
+    lanes = [net.getLane(connection.getViaLaneID()) for connection in joint]
+    there = [connection.getToLane().getIndex() - ahead.first_lane for connection in joint]
+    apart_m = _apart_m(lanes)
+    rights, lefts = {right for right, _ in abreast}, {left for _, left in abreast}
+    to_left_m = tuple(
+        m * (c in rights and ahead.to_left_m[k] > 0.0) for m, c, k in zip(apart_m[0], joint, there, strict=True)
+    )
+    to_right_m = tuple(
+        m * (c in lefts and ahead.to_right_m[k] > 0.0) for m, c, k in zip(apart_m[1], joint, there, strict=True)
+    )
+    return Edge(
+        id=lanes[0].getEdge().getID(),
+        length_m=min(lane.getLength() for lane in lanes),
+        limit_mps=max(lane.getSpeed() for lane in lanes),
+        limits_ahead=((0.0, ahead.limit_mps), *((ahead.length_m + m, limit) for m, limit in ahead.limits_ahead)),
+        lane_widths_m=tuple(lane.getWidth() for lane in lanes),
+        to_left_m=to_left_m,
+        to_right_m=to_right_m,
+        leads_on_m=tuple(ahead.length_m + ahead.leads_on_m[k] for k in there),
+        left_goes_on_m=tuple(
+            ahead.length_m + ahead.left_goes_on_m[k] if m else 0.0 for m, k in zip(to_left_m, there, strict=True)
+        ),
+        right_goes_on_m=tuple(
+            ahead.length_m + ahead.right_goes_on_m[k] if m else 0.0 for m, k in zip(to_right_m, there, strict=True)
+        ),
+        first_lane=lanes[0].getIndex(),
+    )
+
+
+def _apart_m(lanes: list[Any]) -> tuple[tuple[float, ...], tuple[float, ...]]:
+    # For each lane how far the centre of the one to its left is, and of the one to its right; 0 over a line.
+    pairs = [(right, left, 0.5 * (right.getWidth() + left.getWidth())) for right, left in itertools.pairwise(lanes)]
+    to_left_m = (*(metres * _may_cross(right, CHANGE_LEFT) for right, _, metres in pairs), 0.0)
+    return to_left_m, (0.0, *(metres * _may_cross(left, CHANGE_RIGHT) for _, left, metres in pairs))
 
 
 def _may_cross(lane: Any, side: str) -> bool:
