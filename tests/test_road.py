@@ -10,7 +10,7 @@ from sketch import cut_road, edge, leads_on
 
 from rail_sumo import assets
 from rail_sumo.errors import InputError
-from rail_sumo.highway.network import road
+from rail_sumo.highway.network import borders, road
 
 RING_RADIUS_M, RING_HALF_WIDTH_M = 500.0, 8.0
 
@@ -251,7 +251,7 @@ def test_of_two_ways_on_from_a_lane_the_longer_counts(network):
 
 
 def test_a_line_that_turns_back_on_itself_has_borders_all_the_same():
-    assert np.isfinite(road.offset(np.array([[0.0, 0.0], [10.0, 0.0], [0.0, 0.0]]), 1.6)).all()
+    assert np.isfinite(borders.offset(np.array([[0.0, 0.0], [10.0, 0.0], [0.0, 0.0]]), 1.6)).all()
 
 
 def test_lanes_of_different_widths_are_half_of_either_apart(network):
@@ -489,9 +489,9 @@ def test_moving_a_line_sideways_mirrors_with_it_and_keeps_its_distance(legs, lef
     headings = np.cumsum(turns)
     steps = lengths[:, None] * np.column_stack([np.cos(headings), np.sin(headings)])
     line = np.vstack([[0.0, 0.0], np.cumsum(steps, axis=0)])
-    moved = road.offset(line, leftwards_m)
+    moved = borders.offset(line, leftwards_m)
     mirror = np.array([1.0, -1.0])
-    assert road.offset(line * mirror, -leftwards_m) == pytest.approx(moved * mirror)
+    assert borders.offset(line * mirror, -leftwards_m) == pytest.approx(moved * mirror)
     # Each moved corner lies at the offset from both of the lines that meet there.
     left = np.column_stack([-np.sin(headings), np.cos(headings)])
     for points in (moved[:-1] - line[:-1], moved[1:] - line[1:]):
@@ -499,4 +499,4 @@ def test_moving_a_line_sideways_mirrors_with_it_and_keeps_its_distance(legs, lef
 
 
 def test_a_line_that_stands_still_has_no_side():
-    assert road.offset(np.array([[3.0, 4.0], [3.0, 4.0]]), 1.6).tolist() == [[3.0, 4.0]]
+    assert borders.offset(np.array([[3.0, 4.0], [3.0, 4.0]]), 1.6).tolist() == [[3.0, 4.0]]

@@ -76,7 +76,7 @@ def _stretch(car: Inserted, config: Config) -> Stretch:
     wanted = config.network.course
     if wanted and not any(edges[k : k + len(wanted)] == wanted for k in range(len(edges))):
         raise InputError(f"vehicle '{car.name}' does not drive along network.course; name another")
-    course = road.load(config.network.file, edges, limit_factor=config.network.limit_factor)
+    course = road.load(config.network.file, edges, vclass=car.vclass, limit_factor=config.network.limit_factor)
     return Stretch.along(course, config, car.front_m)
 
 

@@ -13,7 +13,8 @@ from rail_sumo.highway import acc, crossing
 from rail_sumo.highway.acc import Leader
 from rail_sumo.highway.hard_braking import hard_brakings
 from rail_sumo.highway.names import HOST, OURS
-from rail_sumo.highway.network.road import Edge, Road
+from rail_sumo.highway.network.edge import Edge
+from rail_sumo.highway.network.road import Road
 from rail_sumo.highway.right_of_way import NOT_GREEN, SIGHT_M, GiveWay, Place, Signal
 from rail_sumo.records import SECONDS_PER_STEP, Command, Gaps, HostState, Scene
 

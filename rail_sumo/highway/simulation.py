@@ -68,7 +68,8 @@ class Inserted:
     """A vehicle of the demand, where SUMO has inserted it."""
 
     name: str
-    is_car: bool
+    vclass: str
+    """SUMO's class."""
     edges: tuple[str, ...]
     """Of its route."""
     lane: int
@@ -76,6 +77,11 @@ class Inserted:
     speed_mps: float
     length_m: float
     width_m: float
+
+    @property
+    def is_car(self) -> bool:
+        """Whether it drives as a car does."""
+        return self.vclass in CARS
 
 
 class Simulation:
@@ -212,7 +218,7 @@ class Simulation:
         return [
             Inserted(
                 name,
-                get.getVehicleClass(name) in CARS,
+                get.getVehicleClass(name),
                 tuple(get.getRoute(name)),
                 lane=get.getLaneIndex(name),
                 front_m=get.getLanePosition(name),
@@ -227,6 +233,7 @@ class Simulation:
     def take_over(self, car: "Inserted") -> None:
         """Make a vehicle of the demand that has just been inserted the host: as large as it is, and on its route."""
         types = libsumo.vehicletype
+        types.setVehicleClass(HOST_TYPE, car.vclass)  # or lanes for its class alone would be closed to it
         types.setLength(HOST_TYPE, car.length_m)
         types.setWidth(HOST_TYPE, car.width_m)
         libsumo.vehicle.setType(car.name, HOST_TYPE)

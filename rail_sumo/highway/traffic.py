@@ -9,8 +9,9 @@ from rail_sumo.highway.network.road import Road
 from rail_sumo.highway.simulation import Simulation
 from rail_sumo.records import KMH
 
-START_GAP_M = 30.0
-"""Room around a vehicle in its lane when it appears."""
+START_GAP_M, START_GAP_S = 30.0, 1.5
+"""Room around a vehicle in its lane when the window is filled: the longer of these at the highest desired speed. SUMO
+leaves out who is too close to drive so fast."""
 CLEAR_OF_HOST_M = 40.0
 """While the host changes lanes, no vehicle this near it is told to."""
 CLEAR_OF_ANOTHER_M = 20.0
@@ -69,12 +70,13 @@ class MovingWindow:
     def _fill(self, host_lane: int) -> None:
         """Place vehicles all over the window at random, clear of one another and of the host."""
         taken: list[tuple[int, float]] = [(host_lane, 0.0)]
+        room_m = max(START_GAP_M, START_GAP_S * self._fastest_kmh / KMH)
         for _ in range(self._config.vehicles):
             for _ in range(20):
                 lane = self._draw_lane(self._host_start_m)
                 ahead_m = self._rng.uniform(-self._config.behind_m, self._config.ahead_m)
                 is_there = lane in self._lanes(self._host_start_m + ahead_m)
-                if is_there and all(lane != other or abs(ahead_m - there) > START_GAP_M for other, there in taken):
+                if is_there and all(lane != other or abs(ahead_m - there) > room_m for other, there in taken):
                     self._insert(ahead_m, self._host_start_m, lane, self._draw_speed_mps())
                     taken.append((lane, ahead_m))
                     break

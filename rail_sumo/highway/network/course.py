@@ -3,6 +3,8 @@
 import itertools
 import math
 from collections.abc import Iterable, Iterator
+from dataclasses import dataclass
+from functools import cached_property
 from typing import Any
 
 from rail_sumo.errors import InputError, did_you_mean
@@ -10,36 +12,58 @@ from rail_sumo.errors import InputError, did_you_mean
 TURNS_BACK = ("t", "T")
 """Directions of connections that lead back, on roads driven on the right and on the left."""
 CAR = "passenger"
-"""The vehicle class that must be allowed on the course."""
+"""The vehicle class that must be allowed on the course, unless the host is of another."""
 
 
-def car_lanes(edge: Any) -> list[Any]:
-    """Return an edge's lanes open to cars: the widest group without a closed lane in between, the rightmost such."""
-    groups = itertools.groupby(edge.getLanes(), key=lambda lane: lane.allows(CAR))
+def open_lanes(edge: Any, vclass: str) -> list[Any]:
+    """Return an edge's lanes open to a class: the widest group without a closed lane in between, the rightmost such."""
+    groups = itertools.groupby(edge.getLanes(), key=lambda lane: lane.allows(vclass))
     return max((list(lanes) for is_open, lanes in groups if is_open), key=len, default=[])
 
 
-def connections(here: Any, ahead: Any) -> list[Any]:
-    """Return the connections that lead a car from one edge to the next, from right to left."""
-    start, end = car_lanes(here), car_lanes(ahead)
-    open_to_cars = [c for c in here.getConnections(ahead) if c.allows(CAR)]
-    found = [c for c in open_to_cars if c.getFromLane() in start and c.getToLane() in end]
+def connections(here: Any, ahead: Any, vclass: str) -> list[Any]:
+    """Return the connections that lead a class of vehicles from one edge to the next, from right to left."""
+    start, end = open_lanes(here, vclass), open_lanes(ahead, vclass)
+    are_open = [c for c in here.getConnections(ahead) if c.allows(vclass)]
+    found = [c for c in are_open if c.getFromLane() in start and c.getToLane() in end]
     return sorted(found, key=lambda c: (c.getFromLane().getIndex(), c.getToLane().getIndex()))
 
 
-def along(net: Any, name: str, wanted: tuple[str, ...]) -> tuple[list[Any], bool]:
-    """Return the course that leads over the edges wanted, in their order, and whether it is a loop.
+@dataclass(frozen=True, eq=False)
+class Way:
+    """A chain of edges to drive one after the other, or a loop of them, as sumolib has them."""
 
-    Between two that do not follow each other it takes the shortest way for cars. It is a loop if the first edge is
-    wanted again at the end.
+    edges: list[Any]
+    is_loop: bool
+    vclass: str = CAR
+    """SUMO's class of the vehicle that drives it."""
+
+    @cached_property
+    def lanes(self) -> list[list[Any]]:
+        """For each edge its lanes that are open to the vehicle; see `open_lanes`."""
+        return [open_lanes(edge, self.vclass) for edge in self.edges]
+
+    @cached_property
+    def joints(self) -> list[list[Any]]:
+        """For each edge the connections that lead on to the next; none behind a chain's last edge."""
+        found = [connections(here, ahead, self.vclass) for here, ahead in itertools.pairwise(self.edges)]
+        return [*found, connections(self.edges[-1], self.edges[0], self.vclass) if self.is_loop else []]
+
+
+def along(net: Any, name: str, wanted: tuple[str, ...], vclass: str = CAR) -> Way:
+    """Return the way over the edges wanted, in their order.
+
+    Between two that do not follow each other it takes the shortest way. It is a loop if the first edge is wanted again
+    at the end.
 
     Args:
         net: the network, as sumolib has it.
         name: what to call it.
         wanted: the edges' ids, one or more.
+        vclass: SUMO's class of the vehicle that is to drive there.
 
     Raises:
-        InputError: no such edge, no such way, or a way that is closed to cars or leads twice over one edge.
+        InputError: no such edge, no such way, or a way that is closed to the class or leads twice over one edge.
     """
     for edge_id in wanted:
         if not net.hasEdge(edge_id):
@@ -50,54 +74,58 @@ def along(net: Any, name: str, wanted: tuple[str, ...]) -> tuple[list[Any], bool
     first, *others = map(net.getEdge, wanted)
     edges = [first]
     for ahead in others:
-        edges += _between(edges[-1], ahead, net, name)
+        edges += _between(edges[-1], ahead, net, name, vclass)
     is_loop = len(edges) > 1 and edges[-1] is first
     if is_loop:
         edges.pop()
     for edge in edges:
-        if not car_lanes(edge):
+        if not open_lanes(edge, vclass):
             raise InputError(
-                f"network '{name}': the course runs over edge '{edge.getID()}', which is closed to cars; lead "
-                f"network.course around it"
+                f"network '{name}': the course runs over edge '{edge.getID()}', which is closed to {_all(vclass)}; "
+                f"lead network.course around it"
             )
         if edges.count(edge) > 1:
             raise InputError(
                 f"network '{name}': the course runs twice over edge '{edge.getID()}'; lead network.course so that it "
                 f"does not, or name the first edge again at its end to go round"
             )
-    return edges, is_loop
+    return Way(edges, is_loop, vclass)
 
 
-def _between(here: Any, ahead: Any, net: Any, name: str) -> tuple[Any, ...]:
+def _all(vclass: str) -> str:
+    return "cars" if vclass == CAR else f"vehicles of the class {vclass}"
+
+
+def _between(here: Any, ahead: Any, net: Any, name: str, vclass: str) -> tuple[Any, ...]:
     # The edges after `here`, up to and with `ahead`.
-    way = _shortest(here, ahead, net)
+    way = _shortest(here, ahead, net, vclass)
     if way is None:
         raise InputError(
-            f"network '{name}': no way for cars leads from edge '{here.getID()}' to edge '{ahead.getID()}'; name the "
-            f"edges of network.course in driving order"
+            f"network '{name}': no way for {_all(vclass)} leads from edge '{here.getID()}' to edge "
+            f"'{ahead.getID()}'; name the edges of network.course in driving order"
         )
     for one, other in itertools.pairwise(way):
-        if not connections(one, other):
+        if not connections(one, other, vclass):
             raise InputError(
-                f"network '{name}': none of the lanes that the host may use, the widest group open to cars, leads from "
-                f"edge '{one.getID()}' on to edge '{other.getID()}'; lead network.course around them"
+                f"network '{name}': none of the lanes that the host may use, the widest group open to {_all(vclass)}, "
+                f"leads from edge '{one.getID()}' on to edge '{other.getID()}'; lead network.course around them"
             )
     return way[1:]
 
 
-def _shortest(here: Any, ahead: Any, net: Any) -> tuple[Any, ...] | None:
+def _shortest(here: Any, ahead: Any, net: Any, vclass: str) -> tuple[Any, ...] | None:
     # The edges from `here` to `ahead`; where they are the same, once round.
-    if ahead in here.getAllowedOutgoing(CAR):
+    if ahead in here.getAllowedOutgoing(vclass):
         return here, ahead
     if here is not ahead:
-        return net.getOptimalPath(here, ahead, vClass=CAR)[0]
-    rounds = (net.getOptimalPath(out, ahead, vClass=CAR) for out in here.getAllowedOutgoing(CAR))
+        return net.getOptimalPath(here, ahead, vClass=vclass)[0]
+    rounds = (net.getOptimalPath(out, ahead, vClass=vclass) for out in here.getAllowedOutgoing(vclass))
     way, _ = min((found for found in rounds if found[0]), key=lambda found: found[1], default=(None, 0.0))
     return way and (here, *way)
 
 
-def longest(net: Any, name: str) -> tuple[list[Any], bool]:
-    """Return the longest way straight on, round the bend where nothing leads straight on, and whether it is a loop.
+def longest(net: Any, name: str) -> Way:
+    """Return the longest way for cars straight on, and round the bend where nothing leads straight on.
 
     It is the chain of edges with the longest way on two or more lanes for cars, and of these the longest in all, in
     which each edge is followed by the one that its most lanes lead straight on to, or else turn to. A loop counts
@@ -107,16 +135,17 @@ def longest(net: Any, name: str) -> tuple[list[Any], bool]:
     Raises:
         InputError: nowhere may cars drive.
     """
-    drivable = {edge for edge in net.getEdges(withInternal=False) if car_lanes(edge)}
+    drivable = {edge for edge in net.getEdges(withInternal=False) if open_lanes(edge, CAR)}
     if not drivable:
         raise InputError(f"network '{name}' has no edge that is open to cars; rail-sumo drives a passenger car")
-    return min(_chains({edge: _next(edge, drivable) for edge in drivable}), key=_rank)
+    return Way(*min(_chains({edge: _next(edge, drivable) for edge in drivable}), key=_rank))
 
 
 def _next(edge: Any, drivable: set[Any]) -> Any | None:
     choices = []
     for ahead in edge.getOutgoing():
-        joint = [c for c in connections(edge, ahead) if c.getDirection() not in TURNS_BACK] if ahead in drivable else []
+        all_on = connections(edge, ahead, CAR) if ahead in drivable else []
+        joint = [c for c in all_on if c.getDirection() not in TURNS_BACK]
         if joint:
             is_straight = any(c.getDirection() == c.LINKDIR_STRAIGHT for c in joint)
             choices.append((not is_straight, -len({c.getFromLane() for c in joint}), ahead.getID(), ahead))
@@ -147,7 +176,7 @@ def _chains(following: dict[Any, Any | None]) -> Iterator[tuple[list[Any], bool]
 def _rank(candidate: tuple[list[Any], bool]) -> tuple[float, float, list[str]]:
     chain, is_loop = candidate
     rounds = 2 if is_loop else 1
-    several_m = _length_m(edge for edge in chain if len(car_lanes(edge)) > 1)
+    several_m = _length_m(edge for edge in chain if len(open_lanes(edge, CAR)) > 1)
     return -several_m * rounds, -_length_m(chain) * rounds, [edge.getID() for edge in chain]
 
 
