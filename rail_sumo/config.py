@@ -412,6 +412,10 @@ class Expert(_Section):
     batch_size: Annotated[int, Field(ge=2)] = 64
     epochs: Count = 10
     entropy: NonNegative = 0.0
+    begins_as_rule: Annotated[int, Field(ge=0)] = 0
+    """So many episodes of the rule driver are cloned before PPO begins; 0 for a fresh network. Then the critic alone
+    learns for `critic_first` updates, before the policy moves away from what was cloned."""
+    critic_first: Annotated[int, Field(ge=0)] = 0
 
     @property
     def updates(self) -> int:

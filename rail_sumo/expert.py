@@ -13,8 +13,9 @@ from rail_sumo.config_file import dumps
 from rail_sumo.drivers import Expert
 from rail_sumo.files import check_folder, whole_folder
 from rail_sumo.highway.observation import feature_names
+from rail_sumo.imitation.demonstrations import Demonstrations
 from rail_sumo.records import Floats
-from rail_sumo.rollout import EXPERT_TRAINING, traffic_seed
+from rail_sumo.rollout import EXPERT_TRAINING, Task, practise_all, traffic_seed
 from rail_sumo.tables import report
 
 
@@ -39,9 +40,10 @@ def train(
 
     check_folder(out)
     run.require_drivable(config, config.train.evaluation_episodes)
+    first = _first(config, seed, workers, observer) if config.expert.begins_as_rule else None
     observer.start("practise", config.expert.updates * config.expert.decisions_per_update)
     traffic_seeds = (traffic_seed(seed, EXPERT_TRAINING, episode) for episode in itertools.count())
-    layers = ppo.train(config, seed, traffic_seeds, lambda _: observer.advance({}))
+    layers = ppo.train(config, seed, traffic_seeds, lambda _: observer.advance({}), first)
     expert = Expert(layers)
     tables = run.evaluate(
         {report.EXPERT: expert},
@@ -64,6 +66,16 @@ def train(
         means = tables[1].set_index("metric")["mean"]
         (whole / MANIFEST).write_text(run.manifest(whole, means, seed), encoding="utf-8")
     return tables
+
+
+def _first(config: Config, seed: int, workers: run.WorkerCount, observer: run.Observer) -> Demonstrations:
+    """Return what the rule driver sees and does in training traffic."""
+    world = config.practice(config.expert.horizon_s)
+    tasks = [
+        Task("rule", world, traffic_seed(seed, EXPERT_TRAINING, 0, episode))
+        for episode in range(config.expert.begins_as_rule)
+    ]
+    return Demonstrations.from_trajectories(list(practise_all("rule", tasks, workers, observer)))
 
 
 def _tensors(expert: Expert) -> dict[str, Floats]:

@@ -4,7 +4,7 @@ import json
 import numpy as np
 import pytest
 
-from rail_sumo import assets, config, config_file, drivers, expert, run
+from rail_sumo import assets, config, config_file, drivers, expert, rollout, run
 from rail_sumo.assets import sha256
 from rail_sumo.errors import InputError
 from rail_sumo.imitation import ppo
@@ -23,7 +23,9 @@ def always(action):
 @pytest.fixture
 def trained(tmp_path, monkeypatch):
     """The folder of an expert that always accelerates, as if PPO had come to that."""
-    monkeypatch.setattr(ppo, "train", lambda config, seed, traffic_seeds, observer: always(MetaAction.ACCELERATE))
+    monkeypatch.setattr(
+        ppo, "train", lambda config, seed, traffic_seeds, observer, first: always(MetaAction.ACCELERATE)
+    )
     expert.train(SHORT, tmp_path / "mine", seed=5)
     return tmp_path / "mine"
 
@@ -57,7 +59,7 @@ def test_the_demonstrations_are_its_own_on_other_traffic_than_the_evaluation(tra
 def test_training_recording_and_evaluation_meet_traffic_of_their_own(tmp_path, monkeypatch):
     met = []
 
-    def train(config, seed, traffic_seeds, observer):
+    def train(config, seed, traffic_seeds, observer, first):
         met.append(list(itertools.islice(traffic_seeds, 50)))
         return always(MetaAction.KEEP)
 
@@ -88,7 +90,7 @@ def test_its_folder_drives_under_its_path_and_differs_from_the_shipped_expert(tr
 def test_the_expert_that_is_named_is_imitated_asked_and_compared_with(tmp_path, monkeypatch):
     """One with other senses than the shipped one's, who does nothing but accelerate."""
     blind = [(np.zeros((5, N_FEATURES // 2)), np.eye(5)[MetaAction.ACCELERATE])]
-    monkeypatch.setattr(ppo, "train", lambda config, seed, traffic_seeds, observer: blind)
+    monkeypatch.setattr(ppo, "train", lambda config, seed, traffic_seeds, observer, first: blind)
     brief = ["lidar.n_rays=12", "episode.duration_s=20", "train.evaluation_episodes=2", "train.trajectories=10"]
     expert.train(config_file.load(None, brief), tmp_path / "mine", seed=5)
     asked = [
@@ -126,7 +128,7 @@ def test_an_existing_folder_is_refused_before_any_training(trained, monkeypatch)
 
 
 def test_a_failure_leaves_nothing_behind(tmp_path, monkeypatch):
-    monkeypatch.setattr(ppo, "train", lambda config, seed, traffic_seeds, observer: always(MetaAction.KEEP))
+    monkeypatch.setattr(ppo, "train", lambda config, seed, traffic_seeds, observer, first: always(MetaAction.KEEP))
 
     def full_disk(*_, **__):
         raise OSError(28, "No space left on device")
@@ -184,3 +186,34 @@ def test_ppo_folds_its_scale_into_the_first_layer(left_alone_by):
     # Orthogonal initialisation at gain sqrt(2) gives rows of that length; one update hardly moves them.
     rows = np.linalg.norm(first[0][0] * scale, axis=1)
     assert rows == pytest.approx(np.full(4, np.sqrt(2)), rel=0.05)
+
+
+def test_an_expert_that_begins_as_the_rule_driver_decides_as_it_does(tmp_path):
+    """Before PPO moves it: on drives of the rule driver that it was not shown, much more often than by chance."""
+    begun = config_file.load(
+        None,
+        [
+            *("expert.begins_as_rule=12", "expert.critic_first=1", "expert.horizon_s=100", "expert.decisions=64"),
+            *("expert.decisions_per_update=64", "episode.duration_s=60", "train.evaluation_episodes=1"),
+        ],
+    ).changed(train={"trajectories": 1, "evaluation_episodes": 1})
+    expert.train(begun, tmp_path / "mine", seed=3)
+    mine = run.find_driver(str(tmp_path / "mine"), begun)
+    (driven, advice), (alone, by_expert) = (
+        rollout.practise_advised(rollout.Task("rule", begun, seed=99, adviser=adviser))
+        for adviser in (mine, drivers.load_expert(begun))
+    )
+    np.testing.assert_array_equal(driven.decisions, alone.decisions)
+    assert (advice == driven.decisions).mean() > 0.75
+    assert (advice == driven.decisions).mean() > (by_expert == driven.decisions).mean()
+
+
+def test_while_the_critic_learns_first_the_policy_stays_as_it_was():
+    def train(**changes):
+        keys = {"decisions": 128, "decisions_per_update": 64, "hidden": (4,)} | changes
+        return ppo.train(config.Config().changed(expert=keys), 3, itertools.count(3))
+
+    stays, would_leap, moves = train(critic_first=2), train(critic_first=2, learning_rate=0.1), train(critic_first=1)
+    for (weights, _), (same, _), (others, _) in zip(stays, would_leap, moves, strict=True):
+        np.testing.assert_array_equal(weights, same)
+        assert not np.array_equal(weights, others)

@@ -15,6 +15,7 @@ from rail_sumo.config import Config
 from rail_sumo.errors import InputError
 from rail_sumo.highway.env import HighwayEnv
 from rail_sumo.highway.observation import feature_names
+from rail_sumo.imitation.demonstrations import Demonstrations
 from rail_sumo.imitation.perceptron import actor, generators_put_back, single_threaded
 from rail_sumo.records import Floats
 
@@ -23,6 +24,9 @@ ATTEMPTS = 10
 
 REWARD_SCALE = 0.1
 """A decision earns around ten steps' reward; PPO's defaults are meant for rewards of about 1."""
+
+CLONING_EPOCHS, CLONING_BATCH, CLONING_RATE = 30, 256, 1e-3
+"""Of what the network begins as."""
 
 LIBRARY_SEEDS = 2**32
 """numpy's global generator, which stable-baselines3 seeds, takes seeds below this."""
@@ -62,9 +66,19 @@ class ScaledHighway(HighwayEnv):
 
 
 class _Progress(BaseCallback):
-    def __init__(self, observer: Callable[[int], None]) -> None:
+    """Tells the observer of every decision, and leaves the policy as it is while the critic learns first."""
+
+    def __init__(self, observer: Callable[[int], None], critic_first: int) -> None:
         super().__init__()
         self._observer = observer
+        self._critic_first = critic_first
+        self._updates = 0
+
+    def _on_rollout_start(self) -> None:
+        moves = self._updates >= self._critic_first
+        for module in actor(self.model.policy):
+            module.requires_grad_(moves)
+        self._updates += 1
 
     def _on_step(self) -> bool:
         self._observer(self.num_timesteps)
@@ -80,7 +94,11 @@ def scale_of(config: Config) -> Floats:
 @single_threaded()
 @generators_put_back()
 def train(
-    config: Config, seed: int, traffic_seeds: Iterator[int], observer: Callable[[int], None] = lambda _: None
+    config: Config,
+    seed: int,
+    traffic_seeds: Iterator[int],
+    observer: Callable[[int], None] = lambda _: None,
+    first: Demonstrations | None = None,
 ) -> Layers:
     """Train the expert and return its network, whose inputs are plain observations.
 
@@ -89,6 +107,7 @@ def train(
         seed: of the networks and the sampling.
         traffic_seeds: one for each episode; without end.
         observer: is told the number of decisions taken so far.
+        first: what is cloned before PPO begins, if anything.
 
     Returns:
         (weights, biases) of each layer from input to output, for `drivers.Expert`.
@@ -112,10 +131,29 @@ def train(
             seed=seed % LIBRARY_SEEDS,
             device="cpu",
         )
-        model.learn(expert.updates * expert.decisions_per_update, callback=_Progress(observer))
+        if first is not None:
+            _clone(model, first, scale, seed)
+        progress = _Progress(observer, expert.critic_first)
+        model.learn(expert.updates * expert.decisions_per_update, callback=progress)
     finally:
         env.close()
     return _layers(model, scale)
+
+
+def _clone(model: MaskablePPO, shown: Demonstrations, scale: Floats, seed: int) -> None:
+    """Raise the probability of what was decided, among what was allowed: behaviour cloning of the policy's network."""
+    observations = torch.as_tensor(shown.observations / scale, dtype=torch.float32)
+    actions, allowed = torch.as_tensor(shown.actions), torch.as_tensor(shown.allowed)
+    adam = torch.optim.Adam(model.policy.parameters(), CLONING_RATE)
+    rng = np.random.default_rng(seed)
+    for _ in range(CLONING_EPOCHS):
+        for batch in torch.as_tensor(rng.permutation(len(actions))).split(CLONING_BATCH):
+            _, log_probability, _ = model.policy.evaluate_actions(
+                observations[batch], actions[batch], action_masks=allowed[batch]
+            )
+            adam.zero_grad()
+            (-log_probability.mean()).backward()
+            adam.step()
 
 
 def _layers(model: MaskablePPO, scale: Floats) -> Layers:
