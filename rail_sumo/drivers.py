@@ -186,7 +186,7 @@ def by_name(name: str, config: Config, seed: int) -> Driver:
         case "expert":
             return load_expert(config)
         case _:
-            raise InputError(f"driver '{name}' not found{did_you_mean(name, NAMES)}")
+            raise InputError(f"driver '{name}' not found{did_you_mean(name, set(NAMES) - set(SHIPPED))}")
 
 
 def load_expert(config: Config, folder: Path | None = None) -> Expert:

@@ -1,9 +1,6 @@
 """The Gymnasium environment: how an episode begins, goes on and ends."""
 
-import math
-import sys
 from collections.abc import Sequence
-from functools import lru_cache
 from typing import Any
 
 import gymnasium
@@ -12,25 +9,18 @@ from gymnasium import spaces
 
 from rail_sumo import assets
 from rail_sumo.config import Config
-from rail_sumo.config import Lidar as LidarConfig
 from rail_sumo.errors import InputError
 from rail_sumo.highway import entry, sumo_process, varied
-from rail_sumo.highway.adas import Adas, HandsOff, lanes_leading_on
-from rail_sumo.highway.lidar import Lidar
+from rail_sumo.highway.adas import lanes_leading_on
+from rail_sumo.highway.agent import Agent
 from rail_sumo.highway.network import demand, road
-from rail_sumo.highway.network.road import Road
-from rail_sumo.highway.observation import Layout
-from rail_sumo.highway.passing import PassCounter
+from rail_sumo.highway.observation import bounds
 from rail_sumo.highway.reward import reward
 from rail_sumo.highway.simulation import HOST, Simulation
 from rail_sumo.highway.stretch import Stretch
 from rail_sumo.highway.traffic import MovingWindow
-from rail_sumo.records import SECONDS_PER_STEP, EndReason, Floats, Gaps, HostState, MetaAction, Scene, Trajectory
+from rail_sumo.records import SECONDS_PER_STEP, Floats, Gaps, HostState, MetaAction, Scene, Trajectory
 
-CRAWL_MPS = 0.1
-STANDSTILL_STEPS = 3000
-"""A host that has not moved for this many steps (five minutes) will not: the episode ends."""
-ALL_ALLOWED = [True] * len(MetaAction)
 DEMAND_START_M = 10.0
 """Place on the course where the host enters the user's own traffic."""
 
@@ -58,15 +48,10 @@ class HighwayEnv(gymnasium.Env[Floats, np.int64]):
         self._hands_off = hands_off
         self._outputs = outputs
         self._settle(varied.draw(self.config, 0))
-        self._layout = Layout(self.config.lidar, self.config.observation)
-        self.observation_space = spaces.Box(*self._layout.bounds, dtype=np.float64)
+        self.observation_space = spaces.Box(*bounds(self.config.lidar, self.config.observation), dtype=np.float64)
         self.action_space = spaces.Discrete(len(MetaAction))
-        self._period_steps = round(self.world.episode.decision_period_s / SECONDS_PER_STEP)
-        duration_steps = self.world.episode.duration_s / SECONDS_PER_STEP
-        self._duration_steps = sys.maxsize if math.isinf(duration_steps) else math.ceil(duration_steps - 1e-6)
         self._simulation: Simulation | None = None
-        self._told: list[bool] | None = None
-        self._end: EndReason | None = None
+        self._agent: Agent | None = None
 
     def _settle(self, world: Config) -> None:
         """Read what a world consists of."""
@@ -94,16 +79,6 @@ class HighwayEnv(gymnasium.Env[Floats, np.int64]):
         self._seed = int(self.np_random.integers(2**31)) if seed is None else seed
         if self.config.varied.networks:
             self._settle(varied.draw(self.config, self._seed))
-        self._layout.reset()
-        self._overtakes = self._overtaken = 0
-        self._observations: list[Floats] = []
-        self._decisions: list[int] = []
-        self._carried_out: list[int] = []
-        self._allowed: list[list[bool]] = []
-        self._told = None
-        self._lane_changing: list[bool] = []
-        self._limits_mps: list[float] = []
-        self._end = None
         try:
             self._open(np.random.default_rng(self._seed), self._outputs_of_host())
         except BaseException:
@@ -138,22 +113,13 @@ class HighwayEnv(gymnasium.Env[Floats, np.int64]):
         else:
             self._add_host(simulation, rng)
             simulation.wait_for_host()
-        stretch = self.stretch
-        self._lidar = _lidar(self.world.lidar, stretch.road)
-        self._passes = PassCounter(stretch.near_m)
-        if self._hands_off:
-            kind = self._hands_off if isinstance(self._hands_off, str) else None
-            self._adas: Adas | HandsOff = HandsOff(adas, keeps_limits=kind is None)
-            simulation.host.hand_over(kind)
-        else:
-            place = stretch.road.place(stretch.start_m)
-            assert place is not None  # or nothing were drivable
-            limit_mps = stretch.road.edges[place[0]].limit_mps
-            start_mps = adas.clipped_mps(adas.start_mps(limit_mps), limit_mps)
-            enters_as_traffic = self.demand.has_traffic and adas.starts_by_the_limit
-            self._adas = Adas(
-                adas, start_mps=max(start_mps, simulation.host.speeds_mps[0]) if enters_as_traffic else start_mps
-            )
+        self._agent = Agent(
+            simulation.host,
+            self.stretch,
+            self.world,
+            hands_off=self._hands_off,
+            enters_as_traffic=self.demand.has_traffic and adas.starts_by_the_limit,
+        )
 
     def _add_host(self, simulation: Simulation, rng: np.random.Generator) -> None:
         """Add a host of ours to the demand, or to a window of traffic that is made for it."""
@@ -197,21 +163,19 @@ class HighwayEnv(gymnasium.Env[Floats, np.int64]):
 
         At the end of an episode `info` holds its `end_reason` and its whole `trajectory` (`records.Trajectory`).
         """
-        simulation = self._under_way()
-        before = (self._overtakes, self._overtaken, self._adas.refused_decisions)
+        agent = self.agent
+        before = (agent.overtakes, agent.overtaken, agent.refused_decisions)
         observation, driven = self.drive(int(action))
+        crashed = agent.end == "collision"
         earned = reward(
-            np.array(simulation.host.speeds_mps[-driven:]),
-            np.array(self._limits_mps[-driven:]),
-            np.array(self._lane_changing[-driven:]),
+            *agent.last(driven),
             self.world.adas,
-            overtakes=self._overtakes - before[0],
-            overtaken=self._overtaken - before[1],
-            refused_decisions=self._adas.refused_decisions - before[2],
-            collisions=int(self._end == "collision"),
+            overtakes=agent.overtakes - before[0],
+            overtaken=agent.overtaken - before[1],
+            refused_decisions=agent.refused_decisions - before[2],
+            collisions=int(crashed),
         )
-        crashed = self._end == "collision"
-        info = {"end_reason": self._end, "trajectory": self.trajectory()} if self.is_over else {}
+        info = {"end_reason": agent.end, "trajectory": self.trajectory()} if self.is_over else {}
         return observation, earned, crashed, self.is_over and not crashed, info
 
     @sumo_process.as_input_errors
@@ -222,68 +186,35 @@ class HighwayEnv(gymnasium.Env[Floats, np.int64]):
             ValueError: no such action.
             InputError: SUMO gives up, for example at a vehicle of the user's demand that cannot drive its route.
         """
-        simulation, adas = self._under_way(), self._adas
-        due = min(self._period_steps, self._duration_steps - len(self._lane_changing))
-        decided = MetaAction(action)
-        self._observations.append(self._observation)
-        self._decisions.append(decided)
-        host = simulation.host.state()
-        self._carried_out.append(adas.decide(decided, host, simulation.host.gaps))
-        self._allowed.append(self._told or ALL_ALLOWED)
-        self._told = None
-        driven = 0
+        simulation, agent = self._under_way(), self.agent
+        before = agent.n_steps
+        agent.decide(MetaAction(action))
         while True:
-            was_changing = adas.changing_lane
-            command = adas.command(host, simulation.host.gaps, steps=due - driven)
-            steps = simulation.run(command)
-            driven += steps
-            self._lane_changing += [was_changing] * steps
-            self._limits_mps += [host.limit_mps] * steps
-            ended_change = was_changing and not adas.changing_lane
-            if driven >= due or ended_change or simulation.host.contact:
+            agent.note(simulation.run(agent.command()))
+            if agent.is_due:
                 break
-            host = simulation.host.state()
+        driven = agent.n_steps - before
         return self._look(driven), driven
 
     def _under_way(self) -> Simulation:
-        if self._simulation is None or self._end is not None:
+        if self._simulation is None or self.is_over:
             raise RuntimeError("the episode is over; call reset()")
         return self._simulation
 
     def _look(self, driven: int) -> Floats:
-        """Sense, replace vehicles that left the window, and check whether the episode is over."""
-        simulation, adas = self._simulation, self._adas
-        assert simulation is not None
-        scene = simulation.scene()
-        overtakes, overtaken = self._passes.update(scene, simulation.is_on_course)
-        self._overtakes += overtakes
-        self._overtaken += overtaken
-        self._scene = scene
-        self._end = self._why_over()
-        if self._window is not None:
-            self._window.update(elapsed_s=driven * SECONDS_PER_STEP, host_changing_lane=adas.changing_lane)
-        self._observation = self._layout.observe(
-            self._lidar.scan(scene),
-            speed_mps=scene.speed_mps[0],
-            limit_mps=simulation.host.limit_mps if self.world.observation.speed_limit else math.inf,
-            lateral_m=adas.lateral_m,
-        )
-        return self._observation
-
-    def _why_over(self) -> EndReason | None:
+        """Sense, check whether the episode is over, and replace vehicles that left the window."""
         assert self._simulation is not None
-        if self._simulation.host.contact:
-            return "collision"
-        travelled_m = self._simulation.travelled_m(self._simulation.host.name)
-        if travelled_m >= self.world.episode.course_m:
-            return "course"
-        if len(self._lane_changing) >= self._duration_steps:
-            return "duration"
-        if travelled_m >= self.stretch.drivable_m:
-            return "end of road"
-        speeds = self._simulation.host.speeds_mps
-        crawls = speeds[-1] < CRAWL_MPS and len(speeds) >= STANDSTILL_STEPS
-        return "standstill" if crawls and max(speeds[-STANDSTILL_STEPS:]) < CRAWL_MPS else None
+        observation = self.agent.look(self._simulation.scene())
+        if self._window is not None:
+            elapsed_s = driven * SECONDS_PER_STEP
+            self._window.update(elapsed_s=elapsed_s, host_changing_lane=self.agent.is_changing_lane)
+        return observation
+
+    @property
+    def agent(self) -> Agent:
+        """The host, as it is driven."""
+        assert self._agent is not None  # from the first reset on
+        return self._agent
 
     @property
     def host_name(self) -> str:
@@ -293,88 +224,54 @@ class HighwayEnv(gymnasium.Env[Floats, np.int64]):
     @property
     def n_signals_ahead(self) -> int:
         """How many traffic lights are on the host's way."""
-        return self._under_way().host.n_signals_ahead
+        return self.agent.host.n_signals_ahead
 
     @property
     def scene(self) -> Scene:
         """The host and the vehicles around it at the last decision."""
-        return self._scene
+        return self.agent.scene
 
     @property
     def is_over(self) -> bool:
         """Whether the episode has ended."""
-        return self._end is not None
+        return self._agent is not None and self._agent.end is not None
 
     @property
     def is_alone(self) -> bool:
         """Whether nobody else on the road drives along the host's course, now or later on its way."""
-        simulation = self._under_way()
-        return not any(map(simulation.heads_for_course, simulation.on_road() - {simulation.host.name}))
+        host = self.agent.host
+        return not any(map(host.heads_for_course, self._under_way().on_road() - {host.name}))
 
     @property
     def flows_vehph(self) -> dict[str, float]:
-        """The flow on every edge of the course now, see `Simulation.flows_vehph`."""
-        return self._under_way().flows_vehph()
+        """The flow on every edge of the course now, see `Host.flows_vehph`."""
+        return self.agent.host.flows_vehph()
 
     @property
     def is_changing_lane(self) -> bool:
         """Whether a lane change is under way."""
-        return self._adas.changing_lane
+        return self.agent.is_changing_lane
 
     def action_masks(self) -> list[bool]:
         """Return for each meta-action whether a masked policy may choose it now, see `Adas.allowed`.
 
         The trajectory notes that the supervisor was told.
         """
-        if self._told is None:
-            assert self._simulation is not None
-            host = self._simulation.host
-            self._told = self._adas.allowed(host.state(), host.gaps)
-        return list(self._told)
+        return self.agent.action_masks()
 
     def surroundings(self) -> tuple[HostState, Gaps, Gaps, Gaps]:
         """Return the host's state and the true gaps in its own lane, to its left and to its right."""
-        assert self._simulation is not None
-        gaps = self._simulation.host.gaps
-        return self._simulation.host.state(), gaps(0), gaps(1), gaps(-1)
+        return self.agent.surroundings()
 
     def trajectory(self) -> Trajectory:
         """Return the episode so far."""
-        assert self._simulation is not None
-        return Trajectory(
-            observations=np.array(self._observations),
-            decisions=np.array(self._decisions, dtype=np.int64),
-            carried_out=np.array(self._carried_out, dtype=np.int64),
-            allowed=np.array(self._allowed, dtype=np.bool_),
-            speed_mps=np.array(self._simulation.host.speeds_mps),
-            distance_m=self._simulation.travelled_m(self._simulation.host.name),
-            limit_mps=np.array(self._limits_mps),
-            lane_changing=np.array(self._lane_changing, dtype=np.bool_),
-            overtakes=self._overtakes,
-            overtaken=self._overtaken,
-            lane_changes=self._adas.lane_changes,
-            aborted_lane_changes=self._adas.aborted_lane_changes,
-            refused_decisions=self._adas.refused_decisions,
-            collisions=self._simulation.host.collisions,
-            struck=self._simulation.host.struck,
-            hard_brakings_behind=self._simulation.host.hard_brakings_behind,
-            min_ttc_s=self._simulation.host.min_ttc_s,
-            end_reason=self._end,
-            seed=self._seed,
-            network=self.stretch.road.name,
-        )
+        return self.agent.trajectory(self._seed)
 
     def close(self) -> None:
         """Free the process's simulation; harmless when none is open."""
         if self._simulation is not None:
             self._simulation.close()
             self._simulation = None
-
-
-@lru_cache(maxsize=32)
-def _lidar(settings: LidarConfig, course: Road) -> Lidar:
-    """Return the LIDAR of a course: one for all episodes, since it remembers which road edges are near where."""
-    return Lidar(settings.n_rays, settings.max_range_m, course.boundaries if settings.road_edges else None)
 
 
 gymnasium.register("RailSumo/Highway-v0", entry_point="rail_sumo.highway.env:HighwayEnv")

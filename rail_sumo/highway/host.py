@@ -225,6 +225,30 @@ class Host:
         )
 
     @property
+    def travelled_m(self) -> float:
+        """Its odometer: metres driven since its insertion."""
+        return libsumo.vehicle.getDistance(self.name)
+
+    def is_on_course(self, name: str) -> bool:
+        """Return whether a vehicle on the road drives along its course, or has just come from it."""
+        return way_of(name)[0] in self._edges
+
+    def heads_for_course(self, name: str) -> bool:
+        """Return whether a vehicle's way leads along its course, from where it is on."""
+        return not self._edges.keys().isdisjoint(way_of(name))
+
+    def flows_vehph(self) -> dict[str, float]:
+        """Return the flow on every edge of its course at this moment, in vehicles per hour.
+
+        Source: Edie (1963), over an edge's length and no time: the sum of its vehicles' speeds by its length.
+        """
+        speed_mps, number = libsumo.edge.getLastStepMeanSpeed, libsumo.edge.getLastStepVehicleNumber
+        return {
+            name: number(name) and 3600 * number(name) * speed_mps(name) / edge.length_m
+            for name, edge in self._edges.items()
+        }
+
+    @property
     def limit_mps(self) -> float:
         """The speed limit of its lane."""
         return libsumo.lane.getMaxSpeed(libsumo.vehicle.getLaneID(self.name))

@@ -25,7 +25,7 @@ def feature_names(lidar: config.Lidar, observation: config.Observation) -> list[
     return [name + age for age in ages for name in frame]
 
 
-def _bounds(lidar: config.Lidar, observation: config.Observation) -> tuple[Floats, Floats]:
+def bounds(lidar: config.Lidar, observation: config.Observation) -> tuple[Floats, Floats]:
     """Return the lowest and highest value of every feature: ranges for distances, what no car reaches for the rest."""
     names = feature_names(lidar, observation)
     is_distance = np.array([name.startswith("distance") for name in names])
@@ -37,7 +37,7 @@ class Layout:
 
     def __init__(self, lidar: config.Lidar, observation: config.Observation) -> None:
         self.n_features = len(feature_names(lidar, observation))
-        self.bounds = _bounds(lidar, observation)
+        self.bounds = bounds(lidar, observation)
         self._observation = observation
         self._frames: deque[Floats] = deque(maxlen=observation.frames)
 

@@ -12,7 +12,7 @@ import numpy as np
 from rail_sumo import config
 from rail_sumo.errors import InputError
 from rail_sumo.highway import placing, sumo_process
-from rail_sumo.highway.host import HOST_TYPE, Host, way_of
+from rail_sumo.highway.host import HOST_TYPE, Host
 from rail_sumo.highway.names import HOST, OURS
 from rail_sumo.highway.network.demand import Demand
 from rail_sumo.highway.network.road import Road
@@ -278,25 +278,6 @@ class Simulation:
     def on_road(self) -> set[str]:
         """Return the names of all vehicles that have been inserted and have not arrived."""
         return set(libsumo.vehicle.getIDList())
-
-    def is_on_course(self, name: str) -> bool:
-        """Return whether a vehicle on the road drives along the host's course, or has just come from it."""
-        return way_of(name)[0] in self._edges
-
-    def heads_for_course(self, name: str) -> bool:
-        """Return whether a vehicle's way leads along the host's course, from where it is on."""
-        return not self._edges.keys().isdisjoint(way_of(name))
-
-    def flows_vehph(self) -> dict[str, float]:
-        """Return the flow on every edge of the host's course at this moment, in vehicles per hour.
-
-        Source: Edie (1963), over an edge's length and no time: the sum of its vehicles' speeds by its length.
-        """
-        speed_mps, number = libsumo.edge.getLastStepMeanSpeed, libsumo.edge.getLastStepVehicleNumber
-        return {
-            name: number(name) and 3600 * number(name) * speed_mps(name) / edge.length_m
-            for name, edge in self._edges.items()
-        }
 
     def travelled_m(self, name: str) -> float:
         """Return a vehicle's odometer: metres driven since its insertion."""

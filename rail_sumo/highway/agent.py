@@ -1,0 +1,231 @@
+"""One driven vehicle: its scan, its assistance layer, its counts and its trajectory."""
+
+import math
+import sys
+from functools import lru_cache
+from typing import Any
+
+import numpy as np
+
+from rail_sumo.config import Config
+from rail_sumo.config import Lidar as LidarConfig
+from rail_sumo.highway.adas import Adas, HandsOff
+from rail_sumo.highway.host import Host
+from rail_sumo.highway.lidar import Lidar
+from rail_sumo.highway.network.road import Road
+from rail_sumo.highway.observation import Layout
+from rail_sumo.highway.passing import PassCounter
+from rail_sumo.highway.stretch import Stretch
+from rail_sumo.records import (
+    SECONDS_PER_STEP,
+    Command,
+    EndReason,
+    Floats,
+    Gaps,
+    HostState,
+    MetaAction,
+    Scene,
+    Trajectory,
+)
+
+CRAWL_MPS = 0.1
+STANDSTILL_STEPS = 3000
+"""A host that has not moved for this many steps (five minutes) will not: the episode ends."""
+ALL_ALLOWED = [True] * len(MetaAction)
+
+
+class Agent:
+    """Drives one vehicle that is on the road, decision by decision, and keeps account of it.
+
+    Between two looks: `decide`, then `command` and `note` until `is_due`.
+
+    Args:
+        host: its vehicle in SUMO.
+        stretch: what it drives, from where to where.
+        world: how it senses, how it drives, when its episode ends.
+        hands_off: leave it to SUMO's own driver; see `HighwayEnv`.
+        enters_as_traffic: whether its first set speed is no lower than the speed that it has entered with.
+    """
+
+    def __init__(
+        self,
+        host: Host,
+        stretch: Stretch,
+        world: Config,
+        *,
+        hands_off: bool | str = False,
+        enters_as_traffic: bool = False,
+    ) -> None:
+        self.host = host
+        self.stretch = stretch
+        self._world = world
+        self._adas: Adas | HandsOff
+        if hands_off:
+            kind = hands_off if isinstance(hands_off, str) else None
+            self._adas = HandsOff(world.adas, keeps_limits=kind is None)
+            host.hand_over(kind)
+        else:
+            self._adas = Adas(world.adas, start_mps=self._start_mps(enters_as_traffic=enters_as_traffic))
+        self._lidar = _lidar(world.lidar, stretch.road)
+        self._layout = Layout(world.lidar, world.observation)
+        self._passes = PassCounter(stretch.near_m)
+        self._period_steps = round(world.episode.decision_period_s / SECONDS_PER_STEP)
+        duration_steps = world.episode.duration_s / SECONDS_PER_STEP
+        self._duration_steps = sys.maxsize if math.isinf(duration_steps) else math.ceil(duration_steps - 1e-6)
+        self._state: HostState | None = None  # as it is now, once somebody has asked
+        self._told: list[bool] | None = None
+        self._left = 0  # steps until the next decision
+        self._was_changing = False
+        self.end: EndReason | None = None
+        """Why its episode is over; None while it is under way."""
+        self.observation: Floats = np.empty(0)
+        """What it saw at the last look."""
+        self.scene: Scene
+        """Itself and the vehicles around it at the last look."""
+        self.overtakes = self.overtaken = 0
+        self._observations: list[Floats] = []
+        self._decisions: list[int] = []
+        self._carried_out: list[int] = []
+        self._allowed: list[list[bool]] = []
+        self._lane_changing: list[bool] = []
+        self._limits_mps: list[float] = []
+
+    def _start_mps(self, *, enters_as_traffic: bool) -> float:
+        adas, place = self._world.adas, self.stretch.road.place(self.stretch.start_m)
+        assert place is not None  # or nothing were drivable
+        limit_mps = self.stretch.road.edges[place[0]].limit_mps
+        start_mps = adas.clipped_mps(adas.start_mps(limit_mps), limit_mps)
+        return max(start_mps, self.host.speeds_mps[0]) if enters_as_traffic else start_mps
+
+    # Between two decisions.
+
+    def look(self, scene: Scene) -> Floats:
+        """Sense, count who was passed, and notice whether the episode is over; returns the observation."""
+        overtakes, overtaken = self._passes.update(scene, self.host.is_on_course)
+        self.overtakes += overtakes
+        self.overtaken += overtaken
+        self.scene = scene
+        self.end = self._why_over()
+        self.observation = self._layout.observe(
+            self._lidar.scan(scene),
+            speed_mps=scene.speed_mps[0],
+            limit_mps=self.host.limit_mps if self._world.observation.speed_limit else math.inf,
+            lateral_m=self._adas.lateral_m,
+        )
+        return self.observation
+
+    def _why_over(self) -> EndReason | None:
+        if self.host.contact:
+            return "collision"
+        travelled_m = self.host.travelled_m
+        if travelled_m >= self._world.episode.course_m:
+            return "course"
+        if self.n_steps >= self._duration_steps:
+            return "duration"
+        if travelled_m >= self.stretch.drivable_m:
+            return "end of road"
+        speeds = self.host.speeds_mps
+        crawls = speeds[-1] < CRAWL_MPS and len(speeds) >= STANDSTILL_STEPS
+        return "standstill" if crawls and max(speeds[-STANDSTILL_STEPS:]) < CRAWL_MPS else None
+
+    def action_masks(self) -> list[bool]:
+        """Return for each meta-action whether a masked policy may choose it now; see `HighwayEnv.action_masks`."""
+        if self._told is None:
+            self._told = self._adas.allowed(self.state, self.host.gaps)
+        return list(self._told)
+
+    @property
+    def state(self) -> HostState:
+        """Where it stands on its lane now."""
+        if self._state is None:
+            self._state = self.host.state()
+        return self._state
+
+    def surroundings(self) -> tuple[HostState, Gaps, Gaps, Gaps]:
+        """Return its state and the true gaps in its own lane, to its left and to its right."""
+        gaps = self.host.gaps
+        return self.state, gaps(0), gaps(1), gaps(-1)
+
+    def decide(self, action: MetaAction) -> None:
+        """Take a decision for the steps until the next falls due."""
+        self._observations.append(self.observation)
+        self._decisions.append(action)
+        self._carried_out.append(self._adas.decide(action, self.state, self.host.gaps))
+        self._allowed.append(self._told or ALL_ALLOWED)
+        self._told = None
+        self._left = min(self._period_steps, self._duration_steps - self.n_steps)
+
+    def command(self) -> Command:
+        """Return what to do next, for no more steps than there are until the next decision."""
+        self._was_changing = self._adas.changing_lane
+        return self._adas.command(self.state, self.host.gaps, steps=self._left)
+
+    def note(self, steps: int) -> None:
+        """Note that the last command was carried out, for so many steps."""
+        self._left -= steps
+        self._lane_changing += [self._was_changing] * steps
+        self._limits_mps += [self.state.limit_mps] * steps
+        self._state = None
+
+    @property
+    def is_due(self) -> bool:
+        """Whether the next decision falls due: by the clock, at the end of a lane change, or at a contact."""
+        ended_change = self._was_changing and not self._adas.changing_lane
+        return self._left <= 0 or ended_change or self.host.contact
+
+    # What it comes to.
+
+    @property
+    def n_steps(self) -> int:
+        """How many SUMO steps it has driven."""
+        return len(self._lane_changing)
+
+    @property
+    def is_changing_lane(self) -> bool:
+        """Whether a lane change is under way."""
+        return self._adas.changing_lane
+
+    @property
+    def refused_decisions(self) -> int:
+        """How many of its decisions were not carried out."""
+        return self._adas.refused_decisions
+
+    def last(self, steps: int) -> tuple[Floats, Floats, Any]:
+        """Return speeds, limits and whether a lane change was under way, for each of the last steps."""
+        return (
+            np.array(self.host.speeds_mps[-steps:]),
+            np.array(self._limits_mps[-steps:]),
+            np.array(self._lane_changing[-steps:]),
+        )
+
+    def trajectory(self, seed: int) -> Trajectory:
+        """Return its episode so far; `seed` is the traffic's."""
+        host, adas = self.host, self._adas
+        return Trajectory(
+            observations=np.array(self._observations),
+            decisions=np.array(self._decisions, dtype=np.int64),
+            carried_out=np.array(self._carried_out, dtype=np.int64),
+            allowed=np.array(self._allowed, dtype=np.bool_),
+            speed_mps=np.array(host.speeds_mps),
+            distance_m=host.travelled_m,
+            limit_mps=np.array(self._limits_mps),
+            lane_changing=np.array(self._lane_changing, dtype=np.bool_),
+            overtakes=self.overtakes,
+            overtaken=self.overtaken,
+            lane_changes=adas.lane_changes,
+            aborted_lane_changes=adas.aborted_lane_changes,
+            refused_decisions=adas.refused_decisions,
+            collisions=host.collisions,
+            struck=host.struck,
+            hard_brakings_behind=host.hard_brakings_behind,
+            min_ttc_s=host.min_ttc_s,
+            end_reason=self.end,
+            seed=seed,
+            network=self.stretch.road.name,
+        )
+
+
+@lru_cache(maxsize=32)
+def _lidar(settings: LidarConfig, course: Road) -> Lidar:
+    """Return the LIDAR of a course: one for all episodes, since it remembers which road edges are near where."""
+    return Lidar(settings.n_rays, settings.max_range_m, course.boundaries if settings.road_edges else None)
