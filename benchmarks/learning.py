@@ -16,6 +16,7 @@ import pandas as pd
 from scipy import stats
 
 from rail_sumo import rollout, training
+from rail_sumo.highway import metrics
 from rail_sumo.imitation import rail
 from rail_sumo.imitation.demonstrations import Demonstrations
 from rail_sumo.imitation.discriminator import Fit
@@ -23,7 +24,6 @@ from rail_sumo.policy import ARGMAX
 from rail_sumo.run_directory import PROGRESS, RunDirectory
 from rail_sumo.studies.experiment import SYSTEMS, Cell
 from rail_sumo.studies.reproduce import read_cells
-from rail_sumo.tables import metrics
 
 SHOWN = ["speed_kmh", "overtakes", "lane_changes", "lateral_reward"]
 FIGURES = [*SHOWN, "refused_decisions", "told_apart", "collisions", "struck"]

@@ -37,6 +37,17 @@ def load(path: Path | None = None, overrides: Iterable[str] = ()) -> Config:
     return validate(tree)
 
 
+def of(given: Config | Mapping[str, Any] | str | Path | None) -> Config:
+    """Return a configuration given as such, as nested mappings, or as a TOML file; without any, the default.
+
+    Raises:
+        InputError: as in `load`.
+    """
+    if isinstance(given, Config):
+        return given
+    return load(Path(given)) if isinstance(given, str | Path) else validate(dict(given or {}))
+
+
 def validate(tree: dict[str, Any]) -> Config:
     """Return the configuration a nested dict describes; see `load` for the errors."""
     try:

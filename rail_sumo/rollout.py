@@ -17,10 +17,10 @@ from numpy.typing import NDArray
 from rail_sumo import drivers
 from rail_sumo.config import Config
 from rail_sumo.errors import InputError, NotBegun
+from rail_sumo.highway import metrics
 from rail_sumo.highway.env import HighwayEnv
 from rail_sumo.policy import PolicyParameters
 from rail_sumo.records import EndReason, Floats, Trajectory
-from rail_sumo.tables import metrics
 
 # What a traffic seed is for. Children of different purposes never meet, so no learner sees evaluation traffic.
 EVALUATION, TRAINING, DEMONSTRATION, EXPERT_TRAINING = range(4)

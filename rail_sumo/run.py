@@ -18,7 +18,7 @@ from rail_sumo.config import Config
 from rail_sumo.config_file import dumps
 from rail_sumo.errors import InputError, did_you_mean
 from rail_sumo.files import check_file, check_folder, whole_file
-from rail_sumo.highway import varied
+from rail_sumo.highway import metrics, varied
 from rail_sumo.highway.env import HighwayEnv
 from rail_sumo.highway.network import demand
 from rail_sumo.highway.observation import feature_names
@@ -39,7 +39,7 @@ from rail_sumo.rollout import (
     traffic_seed,
 )
 from rail_sumo.run_directory import CONFIG, RunDirectory
-from rail_sumo.tables import metrics, report
+from rail_sumo.tables import report
 
 PART = "part.parquet"
 """The file of one episode's floating-car data, in a folder of its own."""

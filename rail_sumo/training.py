@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from rail_sumo import assets, drivers, registry, rollout
 from rail_sumo.config import Config
 from rail_sumo.errors import InputError
-from rail_sumo.highway import varied
+from rail_sumo.highway import metrics, varied
 from rail_sumo.highway.network import demand
 from rail_sumo.highway.observation import feature_names
 from rail_sumo.highway.reward import total_reward
@@ -23,7 +23,6 @@ from rail_sumo.policy import ARGMAX, SAMPLED, PolicyParameters, Shape, Whitening
 from rail_sumo.records import Floats, Trajectory
 from rail_sumo.rollout import SILENT, TRAINING, Observer, Task, WorkerCount, Workers, traffic_seed
 from rail_sumo.run_directory import JUDGES, PROGRESS_COLUMNS, Checkpoint, Row, RunDirectory, Tensors, require_new
-from rail_sumo.tables import metrics
 
 if TYPE_CHECKING:  # torch takes seconds to import, and not every command trains
     from rail_sumo.imitation import rail

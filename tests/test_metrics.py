@@ -5,9 +5,9 @@ import numpy as np
 import pytest
 
 from rail_sumo.config import Adas
+from rail_sumo.highway import metrics
 from rail_sumo.highway.reward import reward
 from rail_sumo.records import EPISODE_COLUMNS, Trajectory
-from rail_sumo.tables import metrics
 
 
 def trajectory(speed_mps, **changes):

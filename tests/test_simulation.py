@@ -202,7 +202,7 @@ def test_a_second_simulation_in_the_process_is_refused_and_the_first_goes_on(scr
     drive.begin()
     message = (
         "^a simulation is already running in this process and libsumo holds only one; "
-        "close it, or drive episodes in worker processes$"
+        "close it, make one environment with isolated=True, or drive episodes in worker processes$"
     )
     with pytest.raises(RuntimeError, match=message):
         simulate()

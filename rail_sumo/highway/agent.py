@@ -73,7 +73,8 @@ class Agent:
         duration_steps = world.episode.duration_s / SECONDS_PER_STEP
         self._duration_steps = sys.maxsize if math.isinf(duration_steps) else math.ceil(duration_steps - 1e-6)
         self._state: HostState | None = None  # as it is now, once somebody has asked
-        self._told: list[bool] | None = None
+        self._mask: list[bool] | None = None  # likewise
+        self._is_told = False
         self._left = 0  # steps until the next decision
         self._was_changing = False
         self.end: EndReason | None = None
@@ -130,9 +131,15 @@ class Agent:
 
     def action_masks(self) -> list[bool]:
         """Return for each meta-action whether a masked policy may choose it now; see `HighwayEnv.action_masks`."""
-        if self._told is None:
-            self._told = self._adas.allowed(self.state, self.host.gaps)
-        return list(self._told)
+        self._is_told = True
+        return list(self.mask)
+
+    @property
+    def mask(self) -> list[bool]:
+        """For each meta-action whether the assistance layer would carry it out now; asking is not noted."""
+        if self._mask is None:
+            self._mask = self._adas.allowed(self.state, self.host.gaps)
+        return self._mask
 
     @property
     def state(self) -> HostState:
@@ -151,8 +158,8 @@ class Agent:
         self._observations.append(self.observation)
         self._decisions.append(action)
         self._carried_out.append(self._adas.decide(action, self.state, self.host.gaps))
-        self._allowed.append(self._told or ALL_ALLOWED)
-        self._told = None
+        self._allowed.append(self.mask if self._is_told else ALL_ALLOWED)
+        self._mask, self._is_told = None, False
         self._left = min(self._period_steps, self._duration_steps - self.n_steps)
 
     def command(self) -> Command:

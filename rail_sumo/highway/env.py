@@ -1,6 +1,7 @@
 """The Gymnasium environment: how an episode begins, goes on and ends."""
 
 from collections.abc import Sequence
+from contextlib import suppress
 from typing import Any
 
 import gymnasium
@@ -10,7 +11,7 @@ from gymnasium import spaces
 from rail_sumo import assets
 from rail_sumo.config import Config
 from rail_sumo.errors import InputError
-from rail_sumo.highway import entry, sumo_process, varied
+from rail_sumo.highway import entry, metrics, sumo_process, varied
 from rail_sumo.highway.adas import lanes_leading_on
 from rail_sumo.highway.agent import Agent
 from rail_sumo.highway.network import demand, road
@@ -40,6 +41,7 @@ class HighwayEnv(gymnasium.Env[Floats, np.int64]):
     """
 
     metadata = {"render_modes": []}  # noqa: RUF012  gymnasium reads it from the class
+    _simulation: Simulation | None = None
 
     def __init__(
         self, config: Config | None = None, *, hands_off: bool | str = False, outputs: Sequence[str] = ()
@@ -50,7 +52,6 @@ class HighwayEnv(gymnasium.Env[Floats, np.int64]):
         self._settle(varied.draw(self.config, 0))
         self.observation_space = spaces.Box(*bounds(self.config.lidar, self.config.observation), dtype=np.float64)
         self.action_space = spaces.Discrete(len(MetaAction))
-        self._simulation: Simulation | None = None
         self._agent: Agent | None = None
 
     def _settle(self, world: Config) -> None:
@@ -84,7 +85,7 @@ class HighwayEnv(gymnasium.Env[Floats, np.int64]):
         except BaseException:
             self.close()  # or no other environment could begin in this process
             raise
-        return self._look(0), {}
+        return self._look(0), self._info()
 
     def _outputs_of_host(self) -> Sequence[str]:
         """Return SUMO's options for outputs, which name the host: of a car yet to be drawn it is drawn once before."""
@@ -161,7 +162,9 @@ class HighwayEnv(gymnasium.Env[Floats, np.int64]):
     def step(self, action: int | np.int64) -> tuple[Floats, float, bool, bool, dict[str, Any]]:
         """Take one decision and drive until the next falls due.
 
-        At the end of an episode `info` holds its `end_reason` and its whole `trajectory` (`records.Trajectory`).
+        `info` holds the `action_mask` (see `action_masks`, int8), and at the end of an episode what it came to, by the
+        names of the `episodes` table, and `is_success`: whether it ended without a contact. Its whole course is
+        `trajectory`.
         """
         agent = self.agent
         before = (agent.overtakes, agent.overtaken, agent.refused_decisions)
@@ -175,8 +178,14 @@ class HighwayEnv(gymnasium.Env[Floats, np.int64]):
             refused_decisions=agent.refused_decisions - before[2],
             collisions=int(crashed),
         )
-        info = {"end_reason": agent.end, "trajectory": self.trajectory()} if self.is_over else {}
-        return observation, earned, crashed, self.is_over and not crashed, info
+        return observation, earned, crashed, self.is_over and not crashed, self._info()
+
+    def _info(self) -> dict[str, Any]:
+        info: dict[str, Any] = {"action_mask": np.array(self.agent.mask, np.int8)}
+        if self.is_over:
+            info |= metrics.row(self.trajectory(), self.world.adas)
+            info["is_success"] = self.agent.end != "collision"
+        return info
 
     @sumo_process.as_input_errors
     def drive(self, action: int) -> tuple[Floats, int]:
@@ -267,11 +276,12 @@ class HighwayEnv(gymnasium.Env[Floats, np.int64]):
         """Return the episode so far."""
         return self.agent.trajectory(self._seed)
 
+    def __del__(self) -> None:
+        with suppress(Exception):  # while the interpreter shuts down nothing is certain
+            self.close()
+
     def close(self) -> None:
         """Free the process's simulation; harmless when none is open."""
         if self._simulation is not None:
             self._simulation.close()
             self._simulation = None
-
-
-gymnasium.register("RailSumo/Highway-v0", entry_point="rail_sumo.highway.env:HighwayEnv")

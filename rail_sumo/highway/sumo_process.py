@@ -62,7 +62,7 @@ def start(options: Mapping[str, object], further: Sequence[str] = ()) -> None:
     if _is_open:
         raise RuntimeError(
             "a simulation is already running in this process and libsumo holds only one; "
-            "close it, or drive episodes in worker processes"
+            "close it, make one environment with isolated=True, or drive episodes in worker processes"
         )
     words = [word for name, value in options.items() for word in (f"--{name}", str(value))]
     with tempfile.TemporaryFile() as said, _output_to(said.fileno()):

@@ -24,11 +24,12 @@ from rail_sumo.config import Config
 from rail_sumo.config_file import dumps, validate
 from rail_sumo.errors import InputError
 from rail_sumo.files import check_folder, whole_file
+from rail_sumo.highway import metrics
 from rail_sumo.policy import ARGMAX, SAMPLED
 from rail_sumo.records import EPISODE_COLUMNS, Trajectory
 from rail_sumo.rollout import EVALUATION, SILENT, Observer, Task, Who, WorkerCount, traffic_seed
 from rail_sumo.run_directory import RunDirectory
-from rail_sumo.tables import metrics, report
+from rail_sumo.tables import report
 from rail_sumo.tables.audit import told_apart
 
 QUICK = 4

@@ -1,4 +1,4 @@
-"""Trajectory -> one row of the `episodes` table."""
+"""Trajectory -> one row: what a drive comes to, by the names of the tables' columns."""
 
 from collections.abc import Sequence
 from typing import Any
