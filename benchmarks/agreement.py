@@ -1,4 +1,4 @@
-"""Whether our counts are SUMO's: python benchmarks/agreement.py [--episodes 20] [--set KEY=VALUE].
+"""Whether our counts are SUMO's: python benchmarks/agreement.py [--episodes 20] [--set KEY=VALUE] [--roads ROADS].
 
 SUMO writes its own account of every episode, lanechange-output and collision-output; an onlooker notes where the host
 is, sideways, after every step. On a straight road, cut into edges or not, the three must agree:
@@ -7,22 +7,32 @@ is, sideways, after every step. On a straight road, cut into edges or not, the t
 
 since an aborted change that had become a vehicle of the next lane is two entries, there and back; one that the
 episode's end cuts short adds those it had made by then. With SUMO's own driver every entry is a lane change.
+
+On roads of your own (ROADS as in roads.py) lanes bend and have other numbers on the next edge, and the onlooker cannot
+tell. There every time that the assistance layer has the host cross over must be one entry of SUMO's; lane changes, and
+aborted ones there and back, must come to as many; contacts must be those of collision-output, and the host must not
+teleport.
 """
 
 import argparse
+import contextlib
 import dataclasses
 import functools
 import tempfile
 import xml.etree.ElementTree as ElementTree
 from pathlib import Path
+from typing import Any
 from unittest import mock
 
 import libsumo
+from roads import options
 
 from rail_sumo import config_file
+from rail_sumo.errors import InputError
 from rail_sumo.highway import env
 from rail_sumo.highway.adas import LATE_LATERAL_M
 from rail_sumo.highway.simulation import HOST, Simulation
+from rail_sumo.records import Command
 from rail_sumo.rollout import EVALUATION, Task, drive, traffic_seed, workers
 
 
@@ -81,12 +91,88 @@ def episode(task: Task) -> dict[str, int]:
     }
 
 
+class Noted(Simulation):
+    """Notes who the host is, how often it is told to cross over, and whether it teleports."""
+
+    def __init__(self, *arguments, noted: dict[str, Any], **named) -> None:
+        super().__init__(*arguments, **named)
+        self._noted = noted
+
+    def run(self, command: Command) -> int:
+        self._noted["host"] = self.host.name
+        self._noted["crossings"] += command.cross != 0
+        return super().run(command)
+
+    def _step(self) -> None:
+        super()._step()
+        self._noted["teleports"] += self.host.name in libsumo.simulation.getStartingTeleportIDList()
+
+
+def episode_on_road(task: Task) -> dict[str, int]:
+    noted: dict[str, Any] = {"host": HOST, "crossings": 0, "teleports": 0}
+    with tempfile.TemporaryDirectory() as folder:
+        files = {kind: Path(folder, f"{kind}.xml") for kind in ("lanechange", "collision")}
+        outputs = [word for kind, file in files.items() for word in (f"--{kind}-output", str(file))]
+        with mock.patch.object(env, "Simulation", functools.partial(Noted, noted=noted)):
+            try:
+                driven = drive(dataclasses.replace(task, outputs=tuple(outputs)))
+            except InputError:  # it could not begin
+                return {}
+        entries = {kind: list(ElementTree.parse(file).getroot()) for kind, file in files.items()}
+    host = noted["host"]
+    own = sum(entry.get("id") == host for entry in entries["lanechange"])
+    crossings = driven.lane_changes if task.driver == "sumo" else noted["crossings"]
+    there_and_back = 2 * driven.aborted_lane_changes + 1  # one may be under way at the end
+    contacts = driven.collisions + driven.struck
+    sumos = sum(host in (entry.get("collider"), entry.get("victim")) for entry in entries["collision"])
+    agree = (
+        own == crossings
+        and driven.lane_changes <= crossings <= driven.lane_changes + there_and_back
+        and contacts == sumos
+        and not noted["teleports"]
+    )
+    return {
+        "episodes": 1,
+        "lane changes": driven.lane_changes,
+        "aborted": driven.aborted_lane_changes,
+        "crossings": crossings,
+        "SUMO's entries": own,
+        "contacts": contacts,
+        "SUMO's": sumos,
+        "teleports": noted["teleports"],
+        "disagree": not agree,
+    }
+
+
+def on_roads(file: Path, episodes: int, seed: int) -> None:
+    """Print a line for each road and driver."""
+    lines = [line for line in file.read_text(encoding="utf-8").splitlines() if line.strip() and line[0] != "#"]
+    seeds = [traffic_seed(seed, EVALUATION, number) for number in range(episodes)]
+    disagreeing, heading = 0, ""
+    with contextlib.chdir(file.parent), workers(2, fresh=True) as pool:
+        for name, overrides in map(options, lines):
+            world = config_file.load(None, [*overrides, "episode.duration_s=300"])
+            for driver in ("random", "rule", "sumo"):
+                rows = [row for row in pool.map(episode_on_road, [Task(driver, world, s) for s in seeds]) if row]
+                totals = {key: sum(row[key] for row in rows) for key in rows[0]} if rows else {}
+                if totals and not heading:
+                    heading = f"{'road':24}{'driver':8}" + "".join(f"{key:>15}" for key in totals)
+                    print(heading)
+                print(f"{name:24}{driver:8}" + "".join(f"{total:>15}" for total in totals.values()), flush=True)
+                disagreeing += totals.get("disagree", 0)
+    print(f"episodes in which any two disagree: {disagreeing}")
+
+
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--episodes", type=int, default=20)
     parser.add_argument("--seed", type=int, default=1811)
     parser.add_argument("--set", action="append", default=[], help="section.key=value, as in rail-sumo eval")
+    parser.add_argument("--roads", type=Path, help="on these instead; see roads.py")
     given = parser.parse_args()
+    if given.roads:
+        on_roads(given.roads, given.episodes, given.seed)
+        return
     world = config_file.load(overrides=["episode.course_m=inf", "episode.duration_s=300", *given.set])
     seeds = [traffic_seed(given.seed, EVALUATION, number) for number in range(given.episodes)]
     disagreeing, heading = 0, ""
