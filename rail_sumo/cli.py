@@ -47,7 +47,7 @@ NetworkFile = Annotated[str | None, typer.Option(metavar="FILE", help=_NETWORK)]
 Routes = Annotated[list[str] | None, typer.Option(metavar="FILE", help="Your own demand; repeatable.")]
 FCD = "fcd"
 """The folder of the floating-car data beside the tables."""
-_POLICY = "A run directory, an expert's folder, or expert, rule, sumo, sumo:TYPE, keep or random."
+_POLICY = "A run, an expert's folder, or expert, rail, road-expert, road-rail, rule, sumo, sumo:TYPE, keep or random."
 _SEED = "Everything random follows from it."
 Seed = Annotated[int, typer.Option(min=0, help=_SEED)]
 _WORKERS, _CORES = "Processes that drive.", "as many as cores"
