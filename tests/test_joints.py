@@ -101,6 +101,7 @@ def test_before_a_crossing_a_lane_change_is_refused(make, tmp_path, watched, sta
     env = make(world(network={"file": str(path)}, traffic=EMPTY))
     env.reset(seed=1)
     libsumo.vehicle.moveTo(HOST, "up_0", 592.8 - 10.0)
+    env.agent.note(0)  # it is elsewhere now
     assert not env.action_masks()[LEFT]
     env.drive(LEFT)
     assert env.trajectory().refused_decisions == 1

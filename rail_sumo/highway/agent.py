@@ -172,7 +172,7 @@ class Agent:
         self._left -= steps
         self._lane_changing += [self._was_changing] * steps
         self._limits_mps += [self.state.limit_mps] * steps
-        self._state = None
+        self._state = self._mask = None
 
     @property
     def is_due(self) -> bool:

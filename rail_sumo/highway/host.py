@@ -184,9 +184,8 @@ class Host:
         edge_id, _, index = lane_id.rpartition("_")
         edge, lane = self._edges.get(edge_id) or self._joints.get(edge_id), int(index)
         limit_mps = libsumo.lane.getMaxSpeed(lane_id)
-        careful, stops = self._places(speed_mps)
+        within_junction, stops = self._places(speed_mps)
         if edge is None or lane not in (lanes := edge.lanes):  # on a junction, or strayed
-            ahead = (*self._limits_beyond_this_lane(), *careful)
             return HostState(
                 speed_mps=speed_mps,
                 lane=lane,
@@ -198,14 +197,11 @@ class Host:
                 to_right_m=0.0,
                 leads_on_m=(math.inf,),
                 limit_mps=limit_mps,
-                limits_ahead=ahead,
-                stops_ahead=tuple(stops),
+                limits_ahead=(*self._limits_beyond_this_lane(), *within_junction),
+                stops_ahead=stops,
                 sumos_lane_changes=self._sumos_lane_changes,
             )
         here, to_edge_end_m = lane - lanes[0], _to_lane_end_m(self.name)
-        limits_ahead = edge.limits_ahead
-        if careful:
-            limits_ahead += tuple((metres - to_edge_end_m, slow) for metres, slow in careful)
         return HostState(
             speed_mps=speed_mps,
             lane=lane,
@@ -219,8 +215,8 @@ class Host:
             limit_mps=limit_mps,
             left_goes_on_m=edge.left_goes_on_m[here],
             right_goes_on_m=edge.right_goes_on_m[here],
-            limits_ahead=limits_ahead,
-            stops_ahead=tuple(stops),
+            limits_ahead=edge.limits_ahead,
+            stops_ahead=stops,
             sumos_lane_changes=self._sumos_lane_changes,
         )
 
@@ -288,7 +284,7 @@ class Host:
         if lane_id.startswith(":"):
             for _, _, is_open, _, via, *_ in libsumo.lane.getLinks(lane_id):
                 if via:  # within the junction the host may have to wait once more, as when it turns left
-                    found.append(GiveWay(ahead_m, is_open, self._junction_sight_m.get(via, SIGHT_M)))
+                    found.append(GiveWay(ahead_m, is_open, self._junction_sight_m.get(via, SIGHT_M), is_within=True))
             if edge_after := self._next_edge():  # SUMO's list begins beyond it
                 ahead_m += edge_after.length_m
         for lane, has_priority, is_open, _, via, state, _, inside_m in libsumo.vehicle.getNextLinks(self.name):
@@ -303,14 +299,21 @@ class Host:
             entered = edge
         return found
 
-    def _places(self, speed_mps: float) -> tuple[list[Place], list[Place]]:
-        """Return where right of way asks the host to be slow: limits to see others from, and stops for them."""
+    def _places(self, speed_mps: float) -> tuple[tuple[Place, ...], tuple[Place, ...]]:
+        """Return where right of way asks the host to be slow: limits that may be met late, and places that may not.
+
+        Before a way without priority SUMO has it slow where it sees others from, and brakes for that as late as it can.
+        """
         if not self._meets_others:
-            return [], []
+            return (), ()
         adas, give_ways = self._adas, self._give_ways()
-        limits = [way.sight(braking_mps2=adas.comfort_braking_mps2) for way in give_ways]
+        limits: list[Place] = []
+        stops: list[Place] = []
+        for way in give_ways:
+            (limits if way.is_within else stops).append(way.sight(braking_mps2=adas.comfort_braking_mps2))
         meets: list[Signal | GiveWay] = [*self._signals(), *give_ways]
-        return limits, [one.stop for one in meets if one.stops(speed_mps, braking_mps2=adas.emergency_braking_mps2)]
+        stops += [one.stop for one in meets if one.stops(speed_mps, braking_mps2=adas.emergency_braking_mps2)]
+        return tuple(limits), tuple(stops)
 
     def gaps(self, side: int) -> Gaps:
         """Return the gaps in the host's own lane (0) or the one to its left (+1) or right (-1)."""

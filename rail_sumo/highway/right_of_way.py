@@ -62,6 +62,8 @@ class GiveWay(NamedTuple):
     """Whether SUMO would let the host through if it arrived now."""
     sight_m: float = SIGHT_M
     """How far before it the host sees who comes."""
+    is_within: bool = False
+    """Whether it is a second place to wait, within the junction. While that is open SUMO has nobody slow down."""
 
     def sight(self, *, braking_mps2: float) -> Place:
         """Return where the host sees who comes, and from how fast it can stop then by such braking."""
