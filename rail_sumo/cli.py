@@ -30,7 +30,6 @@ if TYPE_CHECKING:
 app = typer.Typer(
     help="Learn a highway driver from demonstrations, and drive it in SUMO on your own roads.",
     no_args_is_help=True,
-    add_completion=False,
     pretty_exceptions_enable=False,
 )
 expert = typer.Typer(help="Train the expert; record demonstrations of any driver.", no_args_is_help=True)
@@ -255,6 +254,19 @@ def show_config(
     chosen = config_file.load(config_path, overrides_of(network, routes, overrides))
     training.learner_of(chosen)  # or there is none of that name
     print(config_file.explained(chosen), end="")
+
+
+@app.command("doctor")
+def examine() -> None:
+    """Tell versions and what is missing, drive for a moment, and say what to do about what is amiss."""
+    from rail_sumo import doctor
+
+    is_ill = False
+    for found in doctor.examine():
+        print(f"{found.what:32} {found.state}{f'  -> {found.advice}' if found.advice else ''}")
+        is_ill |= bool(found.advice) and found.is_needed
+    if is_ill:
+        raise typer.Exit(1)
 
 
 @expert.command("train")

@@ -6,7 +6,7 @@ import numpy as np
 import pandas as pd
 import pytest
 
-from rail_sumo import assets, cli, config, config_file, expert, rollout, run
+from rail_sumo import assets, cli, config, config_file, doctor, expert, rollout, run
 from rail_sumo.errors import InputError
 from rail_sumo.highway.observation import feature_names
 from rail_sumo.policy import PolicyParameters, Shape, Whitening
@@ -360,3 +360,10 @@ def test_where_nobody_watches_a_terminal_a_line_tells_how_far_work_is(capsys, mo
         bars.start("eval", 3)
         bars.advance({})
     assert capsys.readouterr().err == ""
+
+
+@pytest.mark.parametrize(("is_needed", "code"), [(True, 1), (False, 0)])
+def test_the_doctor_exits_with_1_where_something_needed_is_amiss(rail_sumo, monkeypatch, is_needed, code):
+    found = doctor.Finding("numpy", "not installed", "pip install rail-sumo", is_needed)
+    monkeypatch.setattr(doctor, "examine", lambda: iter([found]))
+    assert rail_sumo("doctor") == (code, f"{'numpy':32} not installed  -> pip install rail-sumo\n", "")
