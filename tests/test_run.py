@@ -305,6 +305,18 @@ def test_a_policy_drives_anywhere_with_its_own_senses_unless_others_are_asked_fo
         run.world(["keep", str(trained)], ["lidar.n_rays=24"])
 
 
+def test_the_manifest_tells_how_a_run_was_made(trained):
+    manifest = json.loads((trained / "manifest.json").read_text())
+    files = {path.name: assets.sha256(path) for path in trained.iterdir() if path.name != "manifest.json"}
+    assert manifest["files"] == files
+    assert POLICY in files
+    assert manifest["seed"] == 1
+    summary = pd.read_csv(trained / "summary.csv")
+    speed = summary[(summary["policy"] == "rail") & (summary["metric"] == "speed_kmh")]["mean"].item()
+    assert manifest["evaluation"]["speed_kmh"] == round(speed, 3)
+    assert not assets.is_expert(trained)  # though it has a manifest
+
+
 def test_a_run_knows_its_files_from_any_folder(small, driven, tmp_path, monkeypatch):
     (tmp_path / "there").mkdir()
     (tmp_path / "elsewhere").mkdir()
