@@ -619,6 +619,25 @@ def test_near_its_end_nobody_changes_into_a_lane_that_ends(adas):
     assert (adas.changing_lane, adas.refused_decisions) == (False, 1)
 
 
+@pytest.mark.parametrize("steps", [5, 12])
+def test_a_change_out_of_a_lane_that_ends_is_not_taken_back_by_a_decision_but_when_the_gap_closes(adas, steps):
+    """It crosses over in its ninth step."""
+    host = at(lane=0, to_edge_end_m=100.0, leads_on_m=ending(0))
+    adas.decide(KEEP, host, free)
+    for _ in range(steps):
+        crossed = adas.command(host, free, steps=1).cross
+        host = host._replace(lane=host.lane + crossed, to_right_m=3.2 if host.lane + crossed else 0.0)
+    assert adas.allowed(host, free) == [True, False, False, False, False]
+    adas.decide(RIGHT, host, free)
+    assert (adas.side, adas.refused_decisions) == (1, 1)
+    far = host._replace(to_edge_end_m=400.0)
+    assert adas.allowed(far, free)[RIGHT]
+    if steps == 5:
+        for _ in range(10):
+            adas.command(host, closed_on(1), steps=1)
+        assert (adas.changing_lane, adas.aborted_lane_changes) == (False, 1)
+
+
 gap = st.builds(
     Gaps,
     ahead_m=st.sampled_from([-2.0, 10.0, 12.5, 22.5, 35.0, math.inf]),

@@ -148,10 +148,13 @@ class Adas:
         return self._safe(host.speed_mps, gaps(side))
 
     def _may_turn_back(self, host: HostState, gaps: Callable[[int], Gaps]) -> bool:
-        if not self._crossed:
-            return True
+        """Whether the change under way may be reversed by a decision: not into a lane that must be left by now."""
         assert self._side is not None
+        if not self._crossed:
+            return _way_on(host) != self._side
         back = LEFT if self._side == RIGHT else RIGHT
+        if _across(host, back) and host.ends_in_m(host.lane + back) < LEAVE_LANE_M and back != _way_on(host):
+            return False
         room = self._has_room(host, back, self._width)
         return bool(_across(host, back)) and room and self._safe(host.speed_mps, gaps(back))
 
