@@ -1,5 +1,6 @@
 """Speed limits, signals and right of way are kept, and braked for comfortably."""
 
+import dataclasses
 import re
 from pathlib import Path
 
@@ -333,3 +334,14 @@ def test_where_the_host_waits_no_lane_change_begins_that_could_reach_into_the_ju
         assert np.abs(np.diff(front_m)).max() <= 0.17 + 1e-6  # 1.7 m/s
         assert past(watched())[-1] > 50.0
         assert driven.refused_decisions > 5
+
+
+def test_what_sumo_says_while_the_host_enters_more_slowly_is_not_the_users_to_read(make, tmp_path, capfd):
+    """Ten metres before a way without priority SUMO lets nobody start at 80 km/h, and calls that an error."""
+    path = tmp_path / "crossing.net.xml"
+    path.write_text(Path(__file__).with_name("crossing.net.xml").read_text())
+    env = make(world(network={"file": str(path)}, traffic=EMPTY, adas={"start_speed_kmh": 80.0}))
+    env.stretch = dataclasses.replace(env.stretch, start_m=582.0)
+    env.reset(seed=1)
+    assert env.agent.host.speeds_mps[0] < 70.0 / KMH
+    assert capfd.readouterr() == ("", "")

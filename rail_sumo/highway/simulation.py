@@ -315,7 +315,8 @@ class Simulation:
                 slower = True
                 self._enter("max")
                 self.host.hold_below(self._ceiling_mps)
-            libsumo.simulation.step()
+            with sumo_process.silenced():  # a host that cannot enter so fast enters more slowly
+                libsumo.simulation.step()
             if self.host.name in libsumo.simulation.getDepartedIDList():
                 break
         else:

@@ -5,6 +5,7 @@ import tempfile
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from functools import wraps
+from pathlib import Path
 from typing import ParamSpec, TypeVar
 
 import libsumo
@@ -80,6 +81,13 @@ def close() -> None:
     if _is_open:
         libsumo.close()
         _is_open = False
+
+
+@contextmanager
+def silenced() -> Iterator[None]:
+    """Keep to itself what SUMO says: it calls an error what is told as one of ours, or mended."""
+    with Path(os.devnull).open("w") as nowhere, _output_to(nowhere.fileno()):
+        yield
 
 
 @contextmanager
