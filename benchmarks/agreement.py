@@ -20,19 +20,20 @@ import dataclasses
 import functools
 import tempfile
 import xml.etree.ElementTree as ElementTree
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 from unittest import mock
 
 import libsumo
-from roads import options
+from roads import listed
 
 from rail_sumo import config_file
 from rail_sumo.errors import InputError
 from rail_sumo.highway import env
 from rail_sumo.highway.adas import LATE_LATERAL_M
 from rail_sumo.highway.simulation import HOST, Simulation
-from rail_sumo.records import Command
+from rail_sumo.records import Command, Trajectory
 from rail_sumo.rollout import EVALUATION, Task, drive, traffic_seed, workers
 
 
@@ -70,14 +71,21 @@ def account(left_m: list[float], lane_m: float) -> tuple[int, int, int]:
     return changes, aborted, entries
 
 
-def episode(task: Task) -> dict[str, int]:
-    left_m: list[float] = []
+def driven_and_told(
+    task: Task, watched: Callable[..., Simulation]
+) -> tuple[Trajectory, dict[str, list[ElementTree.Element]]]:
+    """Drive an episode in a simulation that is watched; beside it, SUMO's own entries by the kind of output."""
     with tempfile.TemporaryDirectory() as folder:
         files = {kind: Path(folder, f"{kind}.xml") for kind in ("lanechange", "collision")}
         outputs = [word for kind, file in files.items() for word in (f"--{kind}-output", str(file))]
-        with mock.patch.object(env, "Simulation", functools.partial(Watched, left_m=left_m)):
+        with mock.patch.object(env, "Simulation", watched):
             driven = drive(dataclasses.replace(task, outputs=tuple(outputs)))
-        entries = {kind: list(ElementTree.parse(file).getroot()) for kind, file in files.items()}
+        return driven, {kind: list(ElementTree.parse(file).getroot()) for kind, file in files.items()}
+
+
+def episode(task: Task) -> dict[str, int]:
+    left_m: list[float] = []
+    driven, entries = driven_and_told(task, functools.partial(Watched, left_m=left_m))
     changes, aborted, expected = account(left_m, 3.2)
     return {
         "lane changes": driven.lane_changes,
@@ -110,15 +118,10 @@ class Noted(Simulation):
 
 def episode_on_road(task: Task) -> dict[str, int]:
     noted: dict[str, Any] = {"host": HOST, "crossings": 0, "teleports": 0}
-    with tempfile.TemporaryDirectory() as folder:
-        files = {kind: Path(folder, f"{kind}.xml") for kind in ("lanechange", "collision")}
-        outputs = [word for kind, file in files.items() for word in (f"--{kind}-output", str(file))]
-        with mock.patch.object(env, "Simulation", functools.partial(Noted, noted=noted)):
-            try:
-                driven = drive(dataclasses.replace(task, outputs=tuple(outputs)))
-            except InputError:  # it could not begin
-                return {}
-        entries = {kind: list(ElementTree.parse(file).getroot()) for kind, file in files.items()}
+    try:
+        driven, entries = driven_and_told(task, functools.partial(Noted, noted=noted))
+    except InputError:  # it could not begin
+        return {}
     host = noted["host"]
     own = sum(entry.get("id") == host for entry in entries["lanechange"])
     crossings = driven.lane_changes if task.driver == "sumo" else noted["crossings"]
@@ -146,11 +149,10 @@ def episode_on_road(task: Task) -> dict[str, int]:
 
 def on_roads(file: Path, episodes: int, seed: int) -> None:
     """Print a line for each road and driver."""
-    lines = [line for line in file.read_text(encoding="utf-8").splitlines() if line.strip() and line[0] != "#"]
     seeds = [traffic_seed(seed, EVALUATION, number) for number in range(episodes)]
     disagreeing, heading = 0, ""
     with contextlib.chdir(file.parent), workers(2, fresh=True) as pool:
-        for name, overrides in map(options, lines):
+        for name, overrides in listed(Path(file.name)):
             world = config_file.load(None, [*overrides, "episode.duration_s=300"])
             for driver in ("random", "rule", "sumo"):
                 rows = [row for row in pool.map(episode_on_road, [Task(driver, world, s) for s in seeds]) if row]

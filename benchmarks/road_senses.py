@@ -13,7 +13,7 @@ from pathlib import Path
 from typing import NamedTuple
 
 import numpy as np
-from roads import options
+from roads import listed
 
 from rail_sumo import config_file, run
 from rail_sumo.config import Config
@@ -108,10 +108,10 @@ def main() -> None:
     given = parser.parse_args()
     world = config_file.load(given.config)
     training = recorded(world, given.episodes, given.seed)
-    lines = [line for line in given.roads.read_text(encoding="utf-8").splitlines() if line.strip() and line[0] != "#"]
     with contextlib.chdir(given.roads.parent):
-        others = joined([recorded(config_file.load(None, options(line)[1]), given.on, given.seed) for line in lines])
-    print(f"{len(training.actions)} decisions in varied worlds, {len(others.actions)} on {len(lines)} other roads")
+        roads = listed(Path(given.roads.name))
+        others = joined([recorded(config_file.load(None, overrides), given.on, given.seed) for _, overrides in roads])
+    print(f"{len(training.actions)} decisions in varied worlds, {len(others.actions)} on {len(roads)} other roads")
     print("| senses | nats per decision | ± |\n| --- | --- | --- |", flush=True)
     for senses in COMPARED:
         shown, held_out = seen(training, senses), seen(others, senses)

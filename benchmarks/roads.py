@@ -47,6 +47,12 @@ def options(line: str) -> tuple[str, list[str]]:
     return name.strip(), cli.overrides_of(given.network, given.routes, given.set)
 
 
+def listed(file: Path) -> list[tuple[str, list[str]]]:
+    """Return the roads of a file, by `options`; to be called in its folder, which their paths are relative to."""
+    lines = file.read_text(encoding="utf-8").splitlines()
+    return [options(line) for line in lines if line.strip() and line[0] != "#"]
+
+
 def row(name: str, policy: str, episodes: pd.DataFrame) -> tuple[object, ...]:
     driven = episodes[episodes["duration_s"].notna()]
     km = driven["distance_m"].sum() / 1000
@@ -77,11 +83,10 @@ def main() -> None:
     parser.add_argument("--out", type=Path, help="all episodes, as Parquet")
     given = parser.parse_args()
     given.policies = [str(Path(name).resolve()) if Path(name).exists() else name for name in given.policies]
-    lines = [line for line in given.roads.read_text(encoding="utf-8").splitlines() if line.strip() and line[0] != "#"]
     print("| " + " | ".join(COLUMNS) + " |\n|" + " --- |" * len(COLUMNS), flush=True)
     tables = []
     with contextlib.chdir(given.roads.parent):
-        for name, overrides in map(options, lines):
+        for name, overrides in listed(Path(given.roads.name)):
             if given.only and name not in given.only:
                 continue
             world = run.world([], overrides)

@@ -203,8 +203,10 @@ def load_expert(config: Config, folder: Path | None = None) -> Expert:
     return Expert(layers, recipe.senses)
 
 
-def require_same_senses(driver: Driver | PolicyParameters, config: Config, name: str) -> None:
-    """Raise ObservationError if a driver was trained with other senses than the configuration's."""
+def require_same_senses(driver: Driver | PolicyParameters | str, config: Config, name: str) -> None:
+    """Raise ObservationError if a driver was trained with other senses than the configuration's; a name was not."""
+    if isinstance(driver, str):
+        return
     own = config.seen_with(driver.senses).sensing
     mismatch = first_difference(own, config.sensing)
     if mismatch:

@@ -71,9 +71,7 @@ def world(policies: Iterable[str], overrides: Iterable[str] = ()) -> Config:
     chosen = config_file.load(folders[0] / CONFIG if folders else None, overrides)
     if any(override.startswith(("lidar.", "observation.")) for override in overrides):
         for policy in policies:
-            who = find_driver(policy, chosen)
-            if not isinstance(who, str):
-                drivers.require_same_senses(who, chosen, f"policy '{policy}'")
+            drivers.require_same_senses(find_driver(policy, chosen), chosen, f"policy '{policy}'")
     return chosen
 
 
@@ -213,8 +211,7 @@ def demonstrate(
     check_file(out, overwrite=overwrite)
     require_drivable(world, episodes)
     who = find_driver(driver, world)
-    if not isinstance(who, str):
-        drivers.require_same_senses(who, world, f"driver '{driver}'")
+    drivers.require_same_senses(who, world, f"driver '{driver}'")
     demonstrations = record(who, world, episodes=episodes, seed=seed, workers=workers, observer=observer)
     about = {"driver": driver, "seed": str(seed), "config": dumps(world)}
     demonstrations.save(out, features=feature_names(world.lidar, world.observation), about=about)

@@ -109,11 +109,13 @@ def test_a_second_one_in_the_process_is_told_how_to_live_beside_the_first(make):
 
 def test_an_environment_that_is_lost_frees_its_simulation(make):
     """As when a notebook's cell is run twice."""
+    seen = []
     for _ in range(2):
         env = gymnasium.make(ID, config=BRIEF)
         env.reset(seed=1)
-        env.step(1)
+        seen.append(env.step(1)[0])
     env.close()
+    np.testing.assert_array_equal(*seen)
 
 
 def test_every_info_has_the_mask_and_the_last_what_the_episode_came_to(make):

@@ -1,7 +1,7 @@
 import numpy as np
 
 from rail_sumo import config
-from rail_sumo.highway.observation import Layout, feature_names
+from rail_sumo.highway.observation import Layout, bounds, feature_names
 from rail_sumo.records import KMH
 
 LIDAR = config.Lidar(n_rays=3)
@@ -92,8 +92,9 @@ def test_n_features_is_the_length_of_what_is_observed():
 
 
 def test_bounds_hold_distances_between_nothing_and_the_range_and_the_rest_within_200():
-    layout = Layout(LIDAR, EVERYTHING)
-    low, high = (dict(zip(feature_names(LIDAR, EVERYTHING), bound.tolist(), strict=True)) for bound in layout.bounds)
+    low, high = (
+        dict(zip(feature_names(LIDAR, EVERYTHING), bound.tolist(), strict=True)) for bound in bounds(LIDAR, EVERYTHING)
+    )
     for name in low:
         expected = (0.0, LIDAR.max_range_m) if name.startswith("distance") else (-200.0, 200.0)
         assert (low[name], high[name]) == expected

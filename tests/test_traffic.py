@@ -202,7 +202,7 @@ def test_round_a_ring_the_window_goes_on_for_laps(window):
     begun = window(network="ring5", host_kmh=80.0)
     lap_m = begun.road.length_m
     counts = []
-    while begun.simulation.travelled_m(HOST) < 1.5 * lap_m:
+    while begun.simulation.host.travelled_m < 1.5 * lap_m:
         begun.drive(5.0)
         counts.append(len(begun.others()))
         host = np.array(libsumo.vehicle.getPosition(HOST))

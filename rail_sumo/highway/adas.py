@@ -141,7 +141,7 @@ class Adas:
         """
         if not _across(host, side):
             return False
-        if not self._has_room(host, side, _across(host, side)):
+        if not self._has_room(host, side):
             return False
         if host.ends_in_m(host.lane + side) < LEAVE_LANE_M and side != _way_on(host):
             return False
@@ -152,19 +152,15 @@ class Adas:
         assert self._side is not None
         if not self._crossed:
             return _way_on(host) != self._side
-        back = LEFT if self._side == RIGHT else RIGHT
-        if _across(host, back) and host.ends_in_m(host.lane + back) < LEAVE_LANE_M and back != _way_on(host):
-            return False
-        room = self._has_room(host, back, self._width)
-        return bool(_across(host, back)) and room and self._safe(host.speed_mps, gaps(back))
+        return self._open(LEFT if self._side == RIGHT else RIGHT, host, gaps)
 
-    def _has_room(self, host: HostState, side: Side, across_m: float) -> bool:
-        """Whether a change over so many metres ends before the lanes part, even if the host speeds up meanwhile.
+    def _has_room(self, host: HostState, side: Side) -> bool:
+        """Whether a change to a side ends before the lanes part, even if the host speeds up meanwhile.
 
         A lane that does not lead on holds it back.
         """
         goes_on_m = host.left_goes_on_m if side == LEFT else host.right_goes_on_m
-        room_m, seconds = host.to_edge_end_m + goes_on_m, across_m / self._config.lateral_speed_mps
+        room_m, seconds = host.to_edge_end_m + goes_on_m, _across(host, side) / self._config.lateral_speed_mps
         if goes_on_m:
             seconds += 2 * SECONDS_PER_STEP  # it may have to wait before it crosses over, see `_sideways`
         faster = self._config.acceleration_mps2 if host.ends_in_m(host.lane) > room_m else 0.0

@@ -180,7 +180,7 @@ class Agent:
         ended_change = self._was_changing and not self._adas.changing_lane
         return self._left <= 0 or ended_change or self.host.contact
 
-    # What it comes to.
+    # Counts, and the trajectory.
 
     @property
     def n_steps(self) -> int:

@@ -2,7 +2,7 @@
 
 import math
 from collections import deque
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 
 import libsumo
@@ -338,33 +338,41 @@ class Host:
 
         SUMO itself looks no farther beyond an edge's end than the host takes to stop by emergency braking.
         """
-        vehicle, length = libsumo.vehicle, libsumo.lane.getLength
-        found, beyond_m = [], _to_lane_end_m(self.name)
-        ways = [(one, beyond_m) for one in self._next_lanes.get(lane, ())]
-        while ways:
-            one, beyond_m = ways.pop()
-            names = libsumo.lane.getLastStepVehicleIDs(one)
-            for name in names:
-                gap_m = beyond_m + vehicle.getLanePosition(name) - vehicle.getLength(name)
-                found.append((name, gap_m - self._standstill_gap_m))
-            if not names and beyond_m < self._sight_m:
-                ways += [(ahead, beyond_m + length(one)) for ahead in self._next_lanes.get(one, ())]
-        return found
+        vehicle = libsumo.vehicle
+        return [
+            (name, beyond_m + vehicle.getLanePosition(name) - vehicle.getLength(name) - self._standstill_gap_m)
+            for name, _, beyond_m in self._next(lane, self._next_lanes, _to_lane_end_m(self.name))
+        ]
 
     def _next_behind(self, lane: str) -> list[tuple[str, float]]:
         """Return who is next before the beginning of a lane beside the host, as `getNeighbors` tells it."""
-        vehicle, length = libsumo.vehicle, libsumo.lane.getLength
-        found, before_m = [], vehicle.getLanePosition(self.name) - vehicle.getLength(self.name)
-        ways = [(one, before_m) for one in self._lanes_before.get(lane, ())]
+        vehicle = libsumo.vehicle
+        before_m = vehicle.getLanePosition(self.name) - vehicle.getLength(self.name)
+        return [
+            (name, before_m + libsumo.lane.getLength(one) - vehicle.getLanePosition(name) - vehicle.getMinGap(name))
+            for name, one, before_m in self._next(lane, self._lanes_before, before_m)
+        ]
+
+    def _next(
+        self, lane: str, following: Mapping[str, tuple[str, ...]], there_m: float
+    ) -> Iterator[tuple[str, str, float]]:
+        """Yield the vehicles on the first lanes that have some, from a lane's neighbour on, as far as the host sees.
+
+        Args:
+            lane: where it starts, beyond this lane itself.
+            following: for each lane those that it goes on to.
+            there_m: how far the first of them are.
+
+        Yields:
+            The vehicle, its lane, and how far that is.
+        """
+        ways = [(one, there_m) for one in following.get(lane, ())]
         while ways:
-            one, before_m = ways.pop()
+            one, there_m = ways.pop()
             names = libsumo.lane.getLastStepVehicleIDs(one)
-            for name in names:
-                gap_m = before_m + length(one) - vehicle.getLanePosition(name)
-                found.append((name, gap_m - vehicle.getMinGap(name)))
-            if not names and before_m < self._sight_m:
-                ways += [(behind, before_m + length(one)) for behind in self._lanes_before.get(one, ())]
-        return found
+            yield from ((name, one, there_m) for name in names)
+            if not names and there_m < self._sight_m:
+                ways += [(farther, there_m + libsumo.lane.getLength(one)) for farther in following.get(one, ())]
 
     @staticmethod
     def _nearest(neighbours: Sequence[tuple[str, float]], min_gap_m: float | None) -> tuple[float, float]:

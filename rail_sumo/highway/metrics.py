@@ -1,4 +1,4 @@
-"""Trajectory -> one row: what a drive comes to, by the names of the tables' columns."""
+"""Trajectory -> one row: an episode's figures, by the names of the `episodes` table's columns."""
 
 from collections.abc import Sequence
 from typing import Any

@@ -37,7 +37,6 @@ class Layout:
 
     def __init__(self, lidar: config.Lidar, observation: config.Observation) -> None:
         self.n_features = len(feature_names(lidar, observation))
-        self.bounds = bounds(lidar, observation)
         self._observation = observation
         self._frames: deque[Floats] = deque(maxlen=observation.frames)
 

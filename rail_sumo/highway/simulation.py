@@ -279,12 +279,8 @@ class Simulation:
         """Return the names of all vehicles that have been inserted and have not arrived."""
         return set(libsumo.vehicle.getIDList())
 
-    def travelled_m(self, name: str) -> float:
-        """Return a vehicle's odometer: metres driven since its insertion."""
-        return libsumo.vehicle.getDistance(name)
-
     def odometers_m(self) -> dict[str, float]:
-        """Return the odometer of every vehicle on the road, see `travelled_m`."""
+        """Return the odometer of every vehicle on the road: metres driven since its insertion."""
         read = libsumo.vehicle.getDistance
         return {name: read(name) for name in libsumo.vehicle.getIDList()}
 
