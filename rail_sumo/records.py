@@ -121,6 +121,8 @@ class Command(NamedTuple):
     cross: int = 0
     """+1 to become a vehicle of the lane to the left on the next step, -1 of the one to the right."""
     steps: int = 1
+    asks: int = 0
+    """+1 to ask those in the lane to the left to let it in, as by its indicator, -1 those to the right."""
 
 
 EndReason = Literal["course", "duration", "collision", "end of road", "standstill", "not begun", "SUMO stopped"]

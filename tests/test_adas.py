@@ -552,15 +552,20 @@ def ending(*lanes, after_m=0.0):
     return tuple(after_m if lane in lanes else math.inf for lane in range(5))
 
 
+def go_on(adas, host, gaps=free, action=KEEP):
+    """Decide, and drive one step of it."""
+    adas.decide(action, host, gaps)
+    return adas.command(host, gaps, steps=10)
+
+
 @pytest.mark.parametrize("action", [KEEP, ACCELERATE, DECELERATE, RIGHT])
 @pytest.mark.parametrize("lanes", [(0,), (0, 1)])
 def test_300_m_before_the_end_of_a_lane_the_host_leaves_it_whatever_is_decided(adas, action, lanes):
     before = at(lane=0, to_edge_end_m=301.0, leads_on_m=ending(*lanes))
-    adas.decide(action, before, free)
+    go_on(adas, before, action=action)
     assert not adas.changing_lane
-    adas.decide(action, before._replace(to_edge_end_m=299.0), free)
+    go_on(adas, before._replace(to_edge_end_m=299.0), action=action)
     assert adas.side == 1
-    adas.command(before, free, steps=1)
     assert adas.lateral_m == pytest.approx(STRIDE_M)
 
 
@@ -576,37 +581,45 @@ def test_a_lane_change_of_its_own_accord_is_begun_once(adas):
 
 @pytest.mark.parametrize(("lane", "side"), [(1, -1), (2, 1)])
 def test_a_lane_that_ends_is_left_towards_the_nearer_one_that_leads_on(adas, lane, side):
-    adas.decide(KEEP, at(lane=lane, to_edge_end_m=200.0, leads_on_m=ending(1, 2)), free)
+    go_on(adas, at(lane=lane, to_edge_end_m=200.0, leads_on_m=ending(1, 2)))
     assert adas.side == side
 
 
 def test_a_lane_that_ends_beyond_the_next_edges_is_left_as_early(adas):
     before = at(lane=0, to_edge_end_m=60.0, leads_on_m=ending(0, after_m=241.0))
-    adas.decide(KEEP, before, free)
+    go_on(adas, before)
     assert not adas.changing_lane
-    adas.decide(KEEP, before._replace(to_edge_end_m=58.0), free)
+    go_on(adas, before._replace(to_edge_end_m=58.0))
     assert adas.side == 1
 
 
 def test_where_all_lanes_end_soon_the_host_makes_for_those_that_lead_on_farthest(adas):
-    adas.decide(KEEP, at(lane=0, to_edge_end_m=100.0, leads_on_m=(0.0, 50.0, 150.0, 150.0, 50.0)), free)
+    go_on(adas, at(lane=0, to_edge_end_m=100.0, leads_on_m=(0.0, 50.0, 150.0, 150.0, 50.0)))
     assert adas.side == 1
     stays = Adas(config.Adas(), start_mps=60.0 / KMH)
-    stays.decide(KEEP, at(lane=3, to_edge_end_m=100.0, leads_on_m=(0.0, 50.0, 150.0, 150.0, 50.0)), free)
+    go_on(stays, at(lane=3, to_edge_end_m=100.0, leads_on_m=(0.0, 50.0, 150.0, 150.0, 50.0)))
     assert not stays.changing_lane
 
 
-def test_the_end_of_a_lane_opens_no_gate(adas):
+def test_the_end_of_a_lane_opens_no_gate_but_the_host_looks_at_every_step_for_a_gap_and_asks_for_one(adas):
     near = at(lane=0, to_edge_end_m=200.0, leads_on_m=ending(0))
-    adas.decide(KEEP, near, closed_on(1))
-    assert (adas.changing_lane, adas.refused_decisions) == (False, 0)
-    adas.decide(KEEP, near, free)
-    assert adas.changing_lane
+    waits = go_on(adas, near, closed_on(1))
+    assert (waits.asks, waits.steps, adas.changing_lane, adas.refused_decisions) == (1, 1, False, 0)
+    begins = adas.command(near, free, steps=9)
+    assert (begins.asks, begins.cross, adas.side) == (1, 0, 1)
+    commands = [adas.command(near, free, steps=1) for _ in range(7)]
+    assert [(one.asks, one.cross) for one in commands] == [(1, 0)] * 6 + [(0, 1)]
+
+
+@pytest.mark.parametrize(("lane", "asks"), [(1, -1), (2, 1), (3, 0)])
+def test_it_asks_on_the_side_of_the_nearer_lane_that_leads_on_and_not_where_its_own_does(adas, lane, asks):
+    host = at(lane=lane, to_edge_end_m=200.0, leads_on_m=ending(1, 2))
+    assert go_on(adas, host, closed).asks == asks
 
 
 def test_where_every_lane_ends_or_none_the_host_stays(adas):
     for lanes in ((0, 1, 2, 3, 4), ()):
-        adas.decide(KEEP, at(to_edge_end_m=200.0, leads_on_m=ending(*lanes)), free)
+        assert go_on(adas, at(to_edge_end_m=200.0, leads_on_m=ending(*lanes))).asks == 0
         assert not adas.changing_lane
 
 

@@ -88,8 +88,7 @@ class Adas:
         """Take one decision of the supervisor and return the meta-action that is carried out.
 
         A lane change that cannot be carried out safely is refused and counted, and KEEP is returned, as it is when that
-        change is under way already. Near the end of a lane that does not lead on, the layer leaves it of its own accord
-        as soon as it can.
+        change is under way already.
         """
         carried_out = action
         step = self._config.speed_step_kmh / KMH
@@ -101,20 +100,25 @@ class Adas:
             LEFT if action is MetaAction.LEFT else RIGHT, host, gaps
         ):
             carried_out = MetaAction.KEEP
-        way_on = _way_on(host)
-        if way_on is not None and self._side is None and self._open(way_on, host, gaps):
-            self._begin(way_on, host)
         return carried_out
 
     def command(self, host: HostState, gaps: Callable[[int], Gaps], *, steps: int) -> Command:
-        """Return what to do next, for at most `steps` steps: as many as need no fresh look."""
+        """Return what to do next, for at most `steps` steps: as many as need no fresh look.
+
+        Near the end of a lane that does not lead on, the layer leaves it of its own accord as soon as it can, and until
+        it has crossed over asks to be let in.
+        """
+        way_on = _way_on(host)
+        if way_on is not None and self._side is None and self._open(way_on, host, gaps):
+            self._begin(way_on, host)
         set_speed = min(self._config.clipped_mps(self._set_speed, host.limit_mps), host.limit_mps)
         speed = max(set_speed, host.speed_mps - self._config.comfort_braking_mps2 * SECONDS_PER_STEP)
-        keeps_lane = self._side is None
-        if keeps_lane and speed == set_speed == _within_limits(speed, host, self._config, steps=steps):
+        stays = self._side is None and way_on is None
+        if stays and speed == set_speed == _within_limits(speed, host, self._config, steps=steps):
             return Command(speed, steps=steps)
         limited = _within_limits(speed, host, self._config, steps=1)
-        return Command(limited) if self._side is None else self._sideways(self._side, limited, host, gaps)
+        command = Command(limited) if self._side is None else self._sideways(self._side, limited, host, gaps)
+        return command if way_on is None or command.cross else command._replace(asks=way_on)
 
     def _steer(self, side: Side, host: HostState, gaps: Callable[[int], Gaps]) -> bool:
         """Begin a lane change or turn the one under way round, and return whether this was done."""

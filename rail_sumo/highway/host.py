@@ -23,6 +23,10 @@ HOST_TYPE = HOST
 
 COMMANDED_ONLY = 256
 """Lane-change mode of the host: no change of its own accord; the ADAS layer is the gate, SUMO only avoids overlap."""
+ASKS, NOT_ASSERTIVE = 257, "1e-9"
+"""The same, but it means to leave a lane that does not lead on; and how little it then insists on it."""
+UNSURE_MPS = 0.5
+"""By how much speeds change within a step, at most."""
 SUMO_CHANGES_LANES = 1621
 """SUMO's default lane-change mode."""
 
@@ -39,10 +43,10 @@ IGNORE_SIGNALS = 15
 AEB_TIME_GAP_S = 0.5
 """What emergency braking keeps to the vehicle ahead: less than adaptive cruise control does, which it is not to
 disturb. SUMO keeps clear of contacts as long as this is no shorter than a step."""
+GENTLE_MPS2, SLOW_MPS, LINE_NEAR_M = 3.0, 5.0, 10.0
+"""How hard SUMO may brake the host for who comes first, when it is that slow and that near to the line."""
 EXPECTED_BRAKING_MPS2 = 4.5
 """The braking that other vehicles expect of the host."""
-BEHIND_LEFT, AHEAD_LEFT, BEHIND_RIGHT, AHEAD_RIGHT = 0, 2, 1, 3
-"""SUMO's modes of `getNeighbors`."""
 WATCH_STEPS = 50
 """How long the vehicle behind is watched after the host has moved in front of it: 5 s."""
 EDGES_PER_STEP = 10
@@ -89,6 +93,7 @@ class Host:
         self._shown: list[str | bool] = []  # when the host last looked
         self._is_unsure = False
         self._lateral_m = 0.0
+        self._asks = self._is_gentle = False
         self._sumo_drives = False
         self._set_mps = self._told_mps = 0.0  # the set speed, and the speed that SUMO was told
         self._leader: Leader | None = None
@@ -324,8 +329,7 @@ class Host:
             )
             ahead, behind = ([pair] if pair and pair[0] else [] for pair in (leader, follower))
         else:
-            modes = (AHEAD_LEFT, BEHIND_LEFT) if side > 0 else (AHEAD_RIGHT, BEHIND_RIGHT)
-            ahead, behind = (libsumo.vehicle.getNeighbors(self.name, mode) for mode in modes)
+            ahead, behind = (libsumo.vehicle.getNeighbors(self.name, mode) for mode in _neighbour_modes(side))
             edge, _, lane = libsumo.vehicle.getLaneID(self.name).rpartition("_")
             beside = f"{edge}_{int(lane) + side}"
             ahead, behind = ahead or self._next_ahead(beside), behind or self._next_behind(beside)
@@ -390,15 +394,42 @@ class Host:
         vehicle = libsumo.vehicle
         if self._meets_others:
             self._heed_signals()
+            self._heed_lines()
         self._set_mps = command.speed_mps
+        if command.asks or self._asks:
+            self._ask(command.asks)
         if command.cross:
             vehicle.changeLane(self.name, vehicle.getLaneIndex(self.name) + command.cross, 0.0)
-            followers = vehicle.getNeighbors(self.name, BEHIND_LEFT if command.cross > 0 else BEHIND_RIGHT)
+            followers = vehicle.getNeighbors(self.name, _neighbour_modes(command.cross)[1])
             if followers:
                 self._watch(min(followers, key=lambda follower: follower[1])[0])
         if command.lateral_m != self._lateral_m:
             vehicle.setLateralLanePosition(self.name, command.lateral_m)
             self._lateral_m = command.lateral_m
+
+    def _ask(self, side: int) -> None:
+        """Have SUMO's drivers in the lane on a side let the host in, as they do each other; 0: no longer.
+
+        SUMO asks them for whoever means to change lanes by itself. The host does not, for it asks for more room than
+        anybody leaves; but where SUMO needs none at all, between a slower vehicle and a faster one, it does not ask.
+        """
+        asks = side != 0 and self._needs_room(side)
+        if asks != self._asks:
+            assertive = "laneChangeModel.lcAssertive"
+            libsumo.vehicle.setParameter(self.name, assertive, NOT_ASSERTIVE if asks else "1")
+            libsumo.vehicle.setLaneChangeMode(self.name, ASKS if asks else COMMANDED_ONLY)
+            self._asks = asks
+
+    def _needs_room(self, side: int) -> bool:
+        """Whether SUMO's drivers would keep a gap between the host and its neighbours in the lane on a side."""
+        vehicle, mps = libsumo.vehicle, self.speeds_mps[-1]
+        ahead, behind = (vehicle.getNeighbors(self.name, mode) for mode in _neighbour_modes(side))
+        pairs = [(self.name, mps, name, vehicle.getSpeed(name)) for name, _ in ahead]
+        pairs += [(name, vehicle.getSpeed(name), self.name, mps) for name, _ in behind]
+        return any(
+            vehicle.getSecureGap(rear, max(rear_mps - UNSURE_MPS, 0.0), front_mps + UNSURE_MPS, vehicle.getDecel(front))
+            for rear, rear_mps, front, front_mps in pairs
+        )
 
     def _heed_signals(self) -> None:
         """Have SUMO drive past a signal for which it is too late to stop, and note what all of them show."""
@@ -409,6 +440,18 @@ class Host:
             self._drives_on = drives_on
         self._shown = self._shows(signals)
         self._is_unsure = drives_on or any(signal.is_yellow for signal in signals)
+
+    def _heed_lines(self) -> None:
+        """Have SUMO brake gently where the host may have to wait for others.
+
+        SUMO finds that out a second after it has called the way open, and stops then as late and as hard as it may.
+        """
+        is_slow = self.speeds_mps[-1] < SLOW_MPS
+        is_gentle = is_slow and any(way.ahead_m < LINE_NEAR_M for way in self._give_ways())
+        if is_gentle != self._is_gentle:
+            hardest = self._adas.emergency_braking_mps2
+            libsumo.vehicle.setDecel(self.name, min(GENTLE_MPS2, hardest) if is_gentle else hardest)
+            self._is_gentle = is_gentle
 
     @property
     def must_look(self) -> bool:
@@ -436,9 +479,11 @@ class Host:
 
     def _clear_of_crossing_mps(self) -> float:
         """Return how fast the host may go on within a junction, for those who are stuck across its path."""
-        allowed_mps = crossing.allowed_mps(crossing.free_m(self._look_around().boxes))
+        free_m = crossing.free_m(self._look_around().boxes)
+        if free_m > _to_junction_end_m(self.name):  # beside the road that the host comes out on
+            return math.inf
         hardest_mps = self.speeds_mps[-1] - self._adas.emergency_braking_mps2 * SECONDS_PER_STEP
-        return max(allowed_mps, hardest_mps, 0.0)
+        return max(crossing.allowed_mps(free_m), hardest_mps, 0.0)
 
     def note(self) -> None:
         """Record the host's speed, its leader and its contacts after a step."""
@@ -522,8 +567,21 @@ class Host:
         return sum(hard_brakings(one.speeds_mps) for one in self._behind)
 
 
+def _neighbour_modes(side: int) -> tuple[int, int]:
+    """Return SUMO's modes of `getNeighbors` on a side, for those ahead and for those behind."""
+    return (2, 0) if side > 0 else (3, 1)
+
+
 def _to_lane_end_m(name: str) -> float:
     return libsumo.lane.getLength(libsumo.vehicle.getLaneID(name)) - libsumo.vehicle.getLanePosition(name)
+
+
+def _to_junction_end_m(name: str) -> float:
+    """Return how far a vehicle that is within a junction has to the end of it."""
+    lane_id, metres = libsumo.vehicle.getLaneID(name), _to_lane_end_m(name)
+    while via := next((link[4] for link in libsumo.lane.getLinks(lane_id)), ""):
+        lane_id, metres = via, metres + libsumo.lane.getLength(via)
+    return metres
 
 
 def way_of(name: str) -> Sequence[str]:

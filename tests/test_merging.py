@@ -1,0 +1,44 @@
+"""From an acceleration lane into dense traffic, in SUMO."""
+
+import numpy as np
+import pytest
+from driving import KEEP, Watched, always, drive
+
+from rail_sumo.config_file import validate
+from rail_sumo.highway.network import road
+
+DENSE = """<routes>
+    <vType id="car" sigma="0" speedFactor="1"/>
+    <route id="main" edges="main1 merge1 main2"/>
+    <route id="ramp" edges="on1 merge1 main2"/>
+    <flow id="right" type="car" route="main" begin="0" end="300" period="{period}" departLane="0" departSpeed="max"/>
+    <flow id="middle" type="car" route="main" begin="0" end="300" period="{period}" departLane="1" departSpeed="max"/>
+    <flow id="ramp" type="car" route="ramp" begin="100" end="300" period="40" departSpeed="max"/>
+</routes>"""
+"""Two lanes at the capacity that cars with a time gap of a second have, or nearly; they come to a ramp side by side."""
+
+
+@pytest.mark.parametrize("period_s", [1.6, 1.8])
+@pytest.mark.parametrize("number", [0, 1, 2])
+def test_the_host_is_let_in_without_standing_or_making_others_brake_hard(
+    make, outputs, touching, tmp_path, period_s, number
+):
+    demand = tmp_path / "dense.rou.xml"
+    demand.write_text(DENSE.format(period=period_s))
+    name = f"ramp.{number}"
+    traffic = {"routes": [str(demand)], "host": name, "warm_up_s": 60.0}
+    env = make(validate({"network": {"file": "onramp"}, "traffic": traffic}))
+    driven = drive(env, always(KEEP), seed=number)
+    env.close()
+    assert driven.end_reason == "end of road"
+    assert driven.speed_mps.min() > 5.0
+    assert (driven.lane_changes, driven.hard_brakings_behind, driven.collisions, driven.struck) == (1, 0, 0, 0)
+    assert (np.diff(driven.speed_mps) >= -0.3).all()
+    changes = [(entry.get("from"), entry.get("to")) for entry in outputs("lanechange") if entry.get("id") == name]
+    assert changes == [("merge1_0", "merge1_1")], "SUMO moves the host only where the layer does"
+    assert not any(touching(scene) for scene in Watched.latest.scenes)
+
+
+def test_there_is_such_a_lane():
+    merge = road.load("onramp", ("on1", "merge1", "main2")).edges[1]
+    assert (merge.n_lanes, merge.leads_on_m[0]) == (4, 0.0)
