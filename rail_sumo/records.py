@@ -111,6 +111,10 @@ class Gaps(NamedTuple):
     behind_speed_mps: float
 
 
+SUMO_DECIDES = -1.0
+"""As a commanded speed: SUMO's own driver picks it."""
+
+
 class Command(NamedTuple):
     """What the host's actuators do for the next `steps` SUMO steps."""
 

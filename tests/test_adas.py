@@ -6,8 +6,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from rail_sumo import config
-from rail_sumo.highway.adas import SUMO_DECIDES, Adas, HandsOff
-from rail_sumo.records import KMH, Gaps, HostState, MetaAction
+from rail_sumo.highway.adas import Adas, HandsOff
+from rail_sumo.records import KMH, SUMO_DECIDES, Gaps, HostState, MetaAction
 
 KEEP, ACCELERATE, DECELERATE, LEFT, RIGHT = MetaAction
 LANE_M = 3.2

@@ -10,7 +10,7 @@ from typing import Literal
 
 from rail_sumo import config
 from rail_sumo.highway.hard_braking import HARD_MPS2
-from rail_sumo.records import KMH, SECONDS_PER_STEP, Command, Gaps, HostState, MetaAction
+from rail_sumo.records import KMH, SECONDS_PER_STEP, SUMO_DECIDES, Command, Gaps, HostState, MetaAction
 
 LATE_LATERAL_M = 0.25
 """How far before the border, in metres, the host becomes a vehicle of the lane it moves into. A neighbour in that lane
@@ -26,8 +26,6 @@ LANE_END_SHORT_M = 2.5
 """How far before the end of such a lane the host stands. SUMO stands closer to it, and brakes for that harder."""
 TOUCH_M = 0.01
 """A place nearer than this counts as reached."""
-SUMO_DECIDES = -1.0
-"""As a commanded speed: SUMO's own driver picks it."""
 
 Side = Literal[-1, 1]
 LEFT: Side = 1
@@ -68,6 +66,16 @@ class Adas:
     def side(self) -> Side | None:
         """Where the change under way set out for: LEFT, RIGHT, or None while keeping the lane."""
         return self._side
+
+    @property
+    def aims_at(self) -> Side | Literal[0]:
+        """On which side the lane is that the host is about to cross over into; 0 if it is not."""
+        if self._side is None or self._crossed != self._reversing:
+            return 0
+        return self._into(self._side)
+
+    def _into(self, side: Side) -> Side:
+        return RIGHT if (side == LEFT) == self._crossed else LEFT
 
     @property
     def lateral_m(self) -> float:
@@ -185,9 +193,8 @@ class Adas:
         The host does not cross over in a step that may take it on to the next edge, where its lane may have another
         number: it waits beside the border.
         """
-        about_to_cross = self._crossed == self._reversing
-        into: Side = RIGHT if (side == LEFT) == self._crossed else LEFT
-        if about_to_cross and not (_across(host, into) and self._safe(host.speed_mps, gaps(into))):
+        into = self._into(side)
+        if self.aims_at and not (_across(host, into) and self._safe(host.speed_mps, gaps(into))):
             self._reversing = not self._reversing  # the lane the host is a vehicle of is always open to it
         stride = self._config.lateral_speed_mps * SECONDS_PER_STEP
         moved = min(max(self._moved + (-stride if self._reversing else stride), 0.0), self._width)
@@ -288,6 +295,7 @@ class HandsOff:
     """
 
     lateral_m = 0.0
+    aims_at = 0
     aborted_lane_changes = 0
     refused_decisions = 0
 

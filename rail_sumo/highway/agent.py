@@ -45,6 +45,7 @@ class Agent:
         world: how it senses, how it drives, when its episode ends.
         hands_off: leave it to SUMO's own driver; see `HighwayEnv`.
         enters_as_traffic: whether its first set speed is no lower than the speed that it has entered with.
+        keeps_trajectory: whether its observations, decisions and steps are kept for `last` and `trajectory`.
     """
 
     def __init__(
@@ -55,10 +56,14 @@ class Agent:
         *,
         hands_off: bool | str = False,
         enters_as_traffic: bool = False,
+        keeps_trajectory: bool = True,
     ) -> None:
         self.host = host
         self.stretch = stretch
         self._world = world
+        self._keeps_trajectory = keeps_trajectory
+        self.n_steps = 0
+        """How many SUMO steps it has driven."""
         self._adas: Adas | HandsOff
         if hands_off:
             kind = hands_off if isinstance(hands_off, str) else None
@@ -74,6 +79,7 @@ class Agent:
         self._duration_steps = sys.maxsize if math.isinf(duration_steps) else math.ceil(duration_steps - 1e-6)
         self._state: HostState | None = None  # as it is now, once somebody has asked
         self._mask: list[bool] | None = None  # likewise
+        self._gaps: dict[int, Gaps] = {}  # likewise, by side
         self._is_told = False
         self._left = 0  # steps until the next decision
         self._was_changing = False
@@ -138,7 +144,7 @@ class Agent:
     def mask(self) -> list[bool]:
         """For each meta-action whether the assistance layer would carry it out now; asking is not noted."""
         if self._mask is None:
-            self._mask = self._adas.allowed(self.state, self.host.gaps)
+            self._mask = self._adas.allowed(self.state, self.gaps)
         return self._mask
 
     @property
@@ -150,29 +156,41 @@ class Agent:
 
     def surroundings(self) -> tuple[HostState, Gaps, Gaps, Gaps]:
         """Return its state and the true gaps in its own lane, to its left and to its right."""
-        gaps = self.host.gaps
-        return self.state, gaps(0), gaps(1), gaps(-1)
+        return self.state, self.gaps(0), self.gaps(1), self.gaps(-1)
+
+    def gaps(self, side: int) -> Gaps:
+        """Return the true gaps in its own lane (0) or the one to its left (+1) or right (-1) now."""
+        if side not in self._gaps:
+            self._gaps[side] = self.host.gaps(side)
+        return self._gaps[side]
 
     def decide(self, action: MetaAction) -> None:
         """Take a decision for the steps until the next falls due."""
-        self._observations.append(self.observation)
-        self._decisions.append(action)
-        self._carried_out.append(self._adas.decide(action, self.state, self.host.gaps))
-        self._allowed.append(self.mask if self._is_told else ALL_ALLOWED)
+        carried_out = self._adas.decide(action, self.state, self.gaps)
+        if self._keeps_trajectory:
+            self._observations.append(self.observation)
+            self._decisions.append(action)
+            self._carried_out.append(carried_out)
+            self._allowed.append(self.mask if self._is_told else ALL_ALLOWED)
         self._mask, self._is_told = None, False
         self._left = min(self._period_steps, self._duration_steps - self.n_steps)
 
     def command(self) -> Command:
         """Return what to do next, for no more steps than there are until the next decision."""
         self._was_changing = self._adas.changing_lane
-        return self._adas.command(self.state, self.host.gaps, steps=self._left)
+        command = self._adas.command(self.state, self.gaps, steps=self._left)
+        self.host.claim(command.cross or self._adas.aims_at)
+        return command
 
     def note(self, steps: int) -> None:
         """Note that the last command was carried out, for so many steps."""
         self._left -= steps
-        self._lane_changing += [self._was_changing] * steps
-        self._limits_mps += [self.state.limit_mps] * steps
+        self.n_steps += steps
+        if self._keeps_trajectory:
+            self._lane_changing += [self._was_changing] * steps
+            self._limits_mps += [self.state.limit_mps] * steps
         self._state = self._mask = None
+        self._gaps = {}
 
     @property
     def is_due(self) -> bool:
@@ -181,11 +199,6 @@ class Agent:
         return self._left <= 0 or ended_change or self.host.contact
 
     # Counts, and the trajectory.
-
-    @property
-    def n_steps(self) -> int:
-        """How many SUMO steps it has driven."""
-        return len(self._lane_changing)
 
     @property
     def is_changing_lane(self) -> bool:

@@ -51,7 +51,7 @@ def take_over(simulation: Simulation, config: Config, demand: Demand, rng: np.ra
             if car.name != traffic.host if by_name else not car.is_car:
                 continue
             try:
-                stretch = _stretch(car, config)
+                stretch = stretch_of(car, config)
             except InputError:  # too short, or not on lanes that the host may use
                 if by_name:
                     raise
@@ -66,7 +66,7 @@ def take_over(simulation: Simulation, config: Config, demand: Demand, rng: np.ra
     raise InputError(_nobody(config, simulation.now_s, first_s, last_s))
 
 
-def _stretch(car: Inserted, config: Config) -> Stretch:
+def stretch_of(car: Inserted, config: Config) -> Stretch:
     """Return the stretch along a vehicle's route, as far as it comes over no edge again.
 
     Raises:

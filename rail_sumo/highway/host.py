@@ -2,21 +2,22 @@
 
 import math
 from collections import deque
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
 
 import libsumo
 
 from rail_sumo import config
 from rail_sumo.errors import InputError, did_you_mean
-from rail_sumo.highway import acc, crossing
+from rail_sumo.highway import acc, crossing, neighbours
 from rail_sumo.highway.acc import Leader
 from rail_sumo.highway.hard_braking import hard_brakings
 from rail_sumo.highway.names import HOST, OURS
+from rail_sumo.highway.neighbours import Neighbours, to_lane_end_m
 from rail_sumo.highway.network.edge import Edge
 from rail_sumo.highway.network.road import Road
 from rail_sumo.highway.right_of_way import NOT_GREEN, SIGHT_M, GiveWay, Place, Signal
-from rail_sumo.records import SECONDS_PER_STEP, Command, Gaps, HostState, Scene
+from rail_sumo.records import SECONDS_PER_STEP, SUMO_DECIDES, Command, Gaps, HostState, Scene
 
 HOST_TYPE = HOST
 """The id of its vehicle type."""
@@ -73,27 +74,39 @@ class Host:
         adas: limits of its car-following (ACC and AEB).
         look_around: returns who is around it.
         name: the id of its vehicle.
+        claims: returns the other driven vehicles that are about to move into a lane, each with that lane.
     """
 
-    def __init__(self, road: Road, adas: config.Adas, look_around: Callable[[], Scene], name: str = HOST) -> None:
+    def __init__(
+        self,
+        road: Road,
+        adas: config.Adas,
+        look_around: Callable[[], Scene],
+        name: str = HOST,
+        claims: Callable[[str], Iterable[tuple[str, str]]] = lambda name: (),
+    ) -> None:
         self.name = name
         self._look_around = look_around
+        self._claims = claims
         self._adas = adas
         self.fastest_mps = adas.highest_mps(road.highest_limit_mps)
         self._edges = road.edge_of
         self._joints = road.joints
-        self._next_lanes, self._lanes_before = road.next_lanes, road.lanes_before
+        self._next_lanes = road.next_lanes
         self._has_signals = bool(libsumo.trafficlight.getIDList())
         self._meets_others = self._has_signals or road.gives_way
         self._junction_sight_m = road.sight_m
         self._standstill_gap_m = adas.standstill_gap_m
         self._sight_m = acc.sight_m(self.fastest_mps, adas)
+        self._neighbours = Neighbours(name, road, sight_m=self._sight_m, standstill_gap_m=adas.standstill_gap_m)
         self._heeds_m = acc.braking_distance_m(self.fastest_mps, adas.comfort_braking_mps2) + SLACK_M
         self._drives_on = False  # past the next signal, though it is not green
         self._shown: list[str | bool] = []  # when the host last looked
         self._is_unsure = False
         self._lateral_m = 0.0
         self._asks = self._is_gentle = False
+        self.aims_at = ""
+        """The lane that it is about to move into; empty if none."""
         self._sumo_drives = False
         self._set_mps = self._told_mps = 0.0  # the set speed, and the speed that SUMO was told
         self._leader: Leader | None = None
@@ -137,6 +150,14 @@ class Host:
         libsumo.vehicle.setSpeed(self.name, speed_mps)
         self._set_mps = self._told_mps = speed_mps
 
+    def become(self, vclass: str, *, length_m: float, width_m: float, speed_mps: float) -> None:
+        """Be of the class and size of a vehicle that drives already, so fast."""
+        vehicle = libsumo.vehicle
+        vehicle.setVehicleClass(self.name, vclass)  # or lanes for its class alone would be closed to it
+        vehicle.setLength(self.name, length_m)
+        vehicle.setWidth(self.name, width_m)
+        vehicle.setMaxSpeed(self.name, max(self.fastest_mps, speed_mps))  # or SUMO would brake it hard
+
     def hold_below(self, speed_mps: float) -> None:
         """Let the host drive no faster than this, whatever is commanded."""
         libsumo.vehicle.setMaxSpeed(self.name, speed_mps)
@@ -145,6 +166,16 @@ class Host:
         """Note the speed at which the host has entered, and who is ahead."""
         self.speeds_mps.append(libsumo.vehicle.getSpeed(self.name))
         self._leader = self._look_ahead()
+
+    def let_go(self, kind: str, *, speed_factor: float) -> None:
+        """Be a vehicle of SUMO's again, of a type of the demand's and as fast as it was meant to be."""
+        vehicle = libsumo.vehicle
+        vehicle.setType(self.name, kind)
+        vehicle.setSpeedFactor(self.name, speed_factor)
+        vehicle.setSpeed(self.name, SUMO_DECIDES)
+        vehicle.setSpeedMode(self.name, SUMO_SPEED_MODE)
+        vehicle.setLaneChangeMode(self.name, SUMO_CHANGES_LANES)
+        vehicle.setLateralLanePosition(self.name, 0.0)
 
     def hand_over(self, kind: str | None = None) -> None:
         """Let SUMO's own driver drive: no adaptive cruise control, lane changes of its own accord.
@@ -206,7 +237,7 @@ class Host:
                 stops_ahead=stops,
                 sumos_lane_changes=self._sumos_lane_changes,
             )
-        here, to_edge_end_m = lane - lanes[0], _to_lane_end_m(self.name)
+        here, to_edge_end_m = lane - lanes[0], to_lane_end_m(self.name)
         return HostState(
             speed_mps=speed_mps,
             lane=lane,
@@ -256,7 +287,7 @@ class Host:
 
     def _limits_beyond_this_lane(self) -> tuple[tuple[float, float], ...]:
         """Return the limits of the edge that comes next, and beyond it, with the metres from here to each."""
-        ahead, to_it_m = self._next_edge(), _to_lane_end_m(self.name)
+        ahead, to_it_m = self._next_edge(), to_lane_end_m(self.name)
         if ahead is None:
             return ()
         beyond = ((to_it_m + ahead.length_m + metres, limit) for metres, limit in ahead.limits_ahead)
@@ -284,7 +315,7 @@ class Host:
         """Return the ways without priority that the host may have to brake for by now, the nearest first."""
         if not self._meets_others:
             return []
-        ahead_m, lane_id = _to_lane_end_m(self.name), libsumo.vehicle.getLaneID(self.name)
+        ahead_m, lane_id = to_lane_end_m(self.name), libsumo.vehicle.getLaneID(self.name)
         found, entered = [], ""
         if lane_id.startswith(":"):
             for _, _, is_open, _, via, *_ in libsumo.lane.getLinks(lane_id):
@@ -322,70 +353,12 @@ class Host:
 
     def gaps(self, side: int) -> Gaps:
         """Return the gaps in the host's own lane (0) or the one to its left (+1) or right (-1)."""
-        if side == 0:
-            leader, follower = (
-                libsumo.vehicle.getLeader(self.name, self._sight_m),
-                libsumo.vehicle.getFollower(self.name),
-            )
-            ahead, behind = ([pair] if pair and pair[0] else [] for pair in (leader, follower))
-        else:
-            ahead, behind = (libsumo.vehicle.getNeighbors(self.name, mode) for mode in _neighbour_modes(side))
-            edge, _, lane = libsumo.vehicle.getLaneID(self.name).rpartition("_")
-            beside = f"{edge}_{int(lane) + side}"
-            ahead, behind = ahead or self._next_ahead(beside), behind or self._next_behind(beside)
-        ahead_m, ahead_speed = self._nearest(ahead, self._adas.standstill_gap_m)
-        behind_m, behind_speed = self._nearest(behind, None)
-        return Gaps(ahead_m, ahead_speed, behind_m, behind_speed)
+        return self._neighbours.gaps(side, self._claims(self.name) if side else ())
 
-    def _next_ahead(self, lane: str) -> list[tuple[str, float]]:
-        """Return who is next beyond the end of a lane beside the host, as `getNeighbors` tells it.
-
-        SUMO itself looks no farther beyond an edge's end than the host takes to stop by emergency braking.
-        """
-        vehicle = libsumo.vehicle
-        return [
-            (name, beyond_m + vehicle.getLanePosition(name) - vehicle.getLength(name) - self._standstill_gap_m)
-            for name, _, beyond_m in self._next(lane, self._next_lanes, _to_lane_end_m(self.name))
-        ]
-
-    def _next_behind(self, lane: str) -> list[tuple[str, float]]:
-        """Return who is next before the beginning of a lane beside the host, as `getNeighbors` tells it."""
-        vehicle = libsumo.vehicle
-        before_m = vehicle.getLanePosition(self.name) - vehicle.getLength(self.name)
-        return [
-            (name, before_m + libsumo.lane.getLength(one) - vehicle.getLanePosition(name) - vehicle.getMinGap(name))
-            for name, one, before_m in self._next(lane, self._lanes_before, before_m)
-        ]
-
-    def _next(
-        self, lane: str, following: Mapping[str, tuple[str, ...]], there_m: float
-    ) -> Iterator[tuple[str, str, float]]:
-        """Yield the vehicles on the first lanes that have some, from a lane's neighbour on, as far as the host sees.
-
-        Args:
-            lane: where it starts, beyond this lane itself.
-            following: for each lane those that it goes on to.
-            there_m: how far the first of them are.
-
-        Yields:
-            The vehicle, its lane, and how far that is.
-        """
-        ways = [(one, there_m) for one in following.get(lane, ())]
-        while ways:
-            one, there_m = ways.pop()
-            names = libsumo.lane.getLastStepVehicleIDs(one)
-            yield from ((name, one, there_m) for name in names)
-            if not names and there_m < self._sight_m:
-                ways += [(farther, there_m + libsumo.lane.getLength(one)) for farther in following.get(one, ())]
-
-    @staticmethod
-    def _nearest(neighbours: Sequence[tuple[str, float]], min_gap_m: float | None) -> tuple[float, float]:
-        """SUMO tells gaps without the follower's standstill gap; add it back to get bumper to bumper."""
-        if not neighbours:
-            return math.inf, 0.0
-        name, gap = min(neighbours, key=lambda neighbour: neighbour[1])
-        standstill = libsumo.vehicle.getMinGap(name) if min_gap_m is None else min_gap_m
-        return gap + standstill, libsumo.vehicle.getSpeed(name)
+    def claim(self, side: int) -> None:
+        """Tell other driven vehicles which lane it is about to move into: to its left (+1), its right (-1), or none."""
+        edge, _, lane = libsumo.vehicle.getLaneID(self.name).rpartition("_") if side else ("", "", "")
+        self.aims_at = f"{edge}_{int(lane) + side}" if side else ""
 
     # What it does, and what is recorded.
 
@@ -400,7 +373,7 @@ class Host:
             self._ask(command.asks)
         if command.cross:
             vehicle.changeLane(self.name, vehicle.getLaneIndex(self.name) + command.cross, 0.0)
-            followers = vehicle.getNeighbors(self.name, _neighbour_modes(command.cross)[1])
+            followers = vehicle.getNeighbors(self.name, neighbours.modes(command.cross)[1])
             if followers:
                 self._watch(min(followers, key=lambda follower: follower[1])[0])
         if command.lateral_m != self._lateral_m:
@@ -423,7 +396,7 @@ class Host:
     def _needs_room(self, side: int) -> bool:
         """Whether SUMO's drivers would keep a gap between the host and its neighbours in the lane on a side."""
         vehicle, mps = libsumo.vehicle, self.speeds_mps[-1]
-        ahead, behind = (vehicle.getNeighbors(self.name, mode) for mode in _neighbour_modes(side))
+        ahead, behind = (vehicle.getNeighbors(self.name, mode) for mode in neighbours.modes(side))
         pairs = [(self.name, mps, name, vehicle.getSpeed(name)) for name, _ in ahead]
         pairs += [(name, vehicle.getSpeed(name), self.name, mps) for name, _ in behind]
         return any(
@@ -567,18 +540,9 @@ class Host:
         return sum(hard_brakings(one.speeds_mps) for one in self._behind)
 
 
-def _neighbour_modes(side: int) -> tuple[int, int]:
-    """Return SUMO's modes of `getNeighbors` on a side, for those ahead and for those behind."""
-    return (2, 0) if side > 0 else (3, 1)
-
-
-def _to_lane_end_m(name: str) -> float:
-    return libsumo.lane.getLength(libsumo.vehicle.getLaneID(name)) - libsumo.vehicle.getLanePosition(name)
-
-
 def _to_junction_end_m(name: str) -> float:
     """Return how far a vehicle that is within a junction has to the end of it."""
-    lane_id, metres = libsumo.vehicle.getLaneID(name), _to_lane_end_m(name)
+    lane_id, metres = libsumo.vehicle.getLaneID(name), to_lane_end_m(name)
     while via := next((link[4] for link in libsumo.lane.getLinks(lane_id)), ""):
         lane_id, metres = via, metres + libsumo.lane.getLength(via)
     return metres

@@ -1,10 +1,12 @@
 """The one libsumo process: Scene out, Command in. SUMO's facts are converted once, here and in `host`."""
 
+import math
 import os
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from statistics import fmean
+from typing import NamedTuple
 
 import libsumo
 import numpy as np
@@ -16,11 +18,12 @@ from rail_sumo.highway.host import HOST_TYPE, Host
 from rail_sumo.highway.names import HOST, OURS
 from rail_sumo.highway.network.demand import Demand
 from rail_sumo.highway.network.road import Road
-from rail_sumo.records import SECONDS_PER_STEP, Command, Scene
+from rail_sumo.records import SECONDS_PER_STEP, Command, Floats, Scene
 
 # Ids that no demand of a user's has; the types' are those of the two files below.
 TRAFFIC_TYPE, LORRY_TYPE = f"{OURS}traffic_", f"{OURS}lorry_"
 """Followed by the car-following model's name."""
+ACC_TYPE = f"{OURS}acc"
 ROUTE = f"{OURS}route"
 DECIDES_EVERY_S = 0.5
 """How often a vehicle of the made traffic decides: its types' `actionStepLength`."""
@@ -63,6 +66,26 @@ STOREY_M = 3.0
 """Vehicles farther above or below drive on another road, as on a bridge."""
 
 
+Place = tuple[float, float, float]
+"""East, north, up, in metres."""
+
+
+class _Sees(NamedTuple):
+    """What a host can see."""
+
+    reach_m: float
+    is_left_hand: bool
+
+
+class _Held(NamedTuple):
+    """A vehicle that is kept from changing lanes."""
+
+    mode: int
+    """Its own lane-change mode."""
+    by: set[str]
+    """The hosts beside which it is."""
+
+
 @dataclass(frozen=True, slots=True)
 class Inserted:
     """A vehicle of the demand, where SUMO has inserted it."""
@@ -77,6 +100,10 @@ class Inserted:
     speed_mps: float
     length_m: float
     width_m: float
+    kind: str
+    """The id of its type."""
+    speed_factor: float
+    fastest_mps: float
 
     @property
     def is_car(self) -> bool:
@@ -85,7 +112,7 @@ class Inserted:
 
 
 class Simulation:
-    """SUMO on one network, with one host vehicle, its `host`, once it has a course.
+    """SUMO on one network, with the vehicles that are driven, its `hosts`, once they have a course; `host` is the last.
 
     libsumo holds one simulation a process, so a second one is refused while the first is open. Close it, or use it as
     a context manager.
@@ -115,8 +142,14 @@ class Simulation:
         limit_factor: float = 1.0,
     ) -> None:
         self._sizes: dict[str, tuple[float, float]] = {}
+        self._sees: dict[str, _Sees] = {}
+        self._all: tuple[Sequence[str], Floats] = ((), np.empty((3, 0)))
+        self._all_at_s = -math.inf
+        self._taken_over: dict[str, Inserted] = {}
         self._routes: dict[tuple[str, ...], str] = {}
-        self._held: dict[str, int] = {}  # vehicles kept from changing lanes, and their own lane-change modes
+        self._held: dict[str, _Held] = {}  # vehicles kept from changing lanes, by their id
+        self.hosts: list[Host] = []
+        """The vehicles that are driven."""
         self._prefix = f"{OURS}{os.getpid()}_"
         self._written = demand.folders_written
         self._outputs = outputs
@@ -162,8 +195,8 @@ class Simulation:
                 for report in folder.glob(f"{self._prefix}*"):
                     report.unlink(missing_ok=True)
 
-    def lay_course(self, road: Road, adas: config.Adas, *, sees_m: float, host: str = HOST) -> None:
-        """Tell where the host will drive.
+    def lay_course(self, road: Road, adas: config.Adas, *, sees_m: float, host: str = HOST) -> Host:
+        """Tell where a host will drive: one more beside those that are driven already.
 
         Args:
             road: its course.
@@ -171,10 +204,16 @@ class Simulation:
             sees_m: how far from it, along either axis, a `Scene` shows vehicles.
             host: the id of its vehicle.
         """
-        self.host = Host(road, adas, self.scene, host)
+        self.host = Host(road, adas, lambda: self.scene(added), host, self._claims)
+        added = self.host
+        self._sees[host] = _Sees(sees_m, is_left_hand=road.is_left_hand)
         self._edges = road.edge_of
-        self._is_left_hand = road.is_left_hand
-        self._context_m = sees_m
+        self.hosts.append(added)
+        return added
+
+    def _claims(self, name: str) -> Iterator[tuple[str, str]]:
+        """Yield the driven vehicles but one that are about to move into a lane, each with that lane."""
+        return ((host.name, host.aims_at) for host in self.hosts if host.aims_at and host.name != name)
 
     # Vehicles come and go.
 
@@ -225,6 +264,9 @@ class Simulation:
                 speed_mps=get.getSpeed(name),
                 length_m=get.getLength(name),
                 width_m=get.getWidth(name),
+                kind=get.getTypeID(name),
+                speed_factor=get.getSpeedFactor(name),
+                fastest_mps=get.getMaxSpeed(name),
             )
             for name in libsumo.simulation.getDepartedIDList()
             if get.getRoadID(name) == get.getRoute(name)[0]
@@ -232,14 +274,30 @@ class Simulation:
 
     def take_over(self, car: "Inserted") -> None:
         """Make a vehicle of the demand that has just been inserted the host: as large as it is, and on its route."""
-        types = libsumo.vehicletype
-        types.setVehicleClass(HOST_TYPE, car.vclass)  # or lanes for its class alone would be closed to it
-        types.setLength(HOST_TYPE, car.length_m)
-        types.setWidth(HOST_TYPE, car.width_m)
         libsumo.vehicle.setType(car.name, HOST_TYPE)
-        types.setMaxSpeed(HOST_TYPE, max(self.host.fastest_mps, car.speed_mps))  # or SUMO would brake it hard
+        self.host.become(car.vclass, length_m=car.length_m, width_m=car.width_m, speed_mps=car.speed_mps)
         self.host.take_over(car.speed_mps)
         self.host.begin()
+        self._held.pop(car.name, None)
+        self._taken_over[car.name] = car
+
+    def hand_back(self, host: Host) -> None:
+        """Let SUMO's own driver drive a vehicle of the demand again, as the one that it was."""
+        car = self._taken_over.pop(host.name)
+        host.let_go(car.kind, speed_factor=car.speed_factor)
+        self._forget(host)
+
+    def give_acc(self, car: "Inserted") -> None:
+        """Have SUMO drive a vehicle that has just been inserted by its own model of adaptive cruise control."""
+        libsumo.vehicle.setType(car.name, ACC_TYPE)
+        for set_own, value in (
+            (libsumo.vehicle.setVehicleClass, car.vclass),
+            (libsumo.vehicle.setLength, car.length_m),
+            (libsumo.vehicle.setWidth, car.width_m),
+            (libsumo.vehicle.setMaxSpeed, car.fastest_mps),
+            (libsumo.vehicle.setSpeedFactor, car.speed_factor),
+        ):
+            set_own(car.name, value)
 
     def _enter(self, speed: str) -> None:
         self._add(self.host.name, HOST_TYPE, *self._start, speed)
@@ -278,6 +336,11 @@ class Simulation:
     def on_road(self) -> set[str]:
         """Return the names of all vehicles that have been inserted and have not arrived."""
         return set(libsumo.vehicle.getIDList())
+
+    @property
+    def n_on_road(self) -> int:
+        """How many vehicles are on the road."""
+        return libsumo.vehicle.getIDCount()
 
     def odometers_m(self) -> dict[str, float]:
         """Return the odometer of every vehicle on the road: metres driven since its insertion."""
@@ -327,39 +390,51 @@ class Simulation:
 
     # What is around the host.
 
-    def scene(self) -> Scene:
-        """Return the host and every vehicle within the context's reach, east or west, north or south.
+    def scene(self, host: Host | None = None) -> Scene:
+        """Return a host and every vehicle within its context's reach, east or west, north or south.
 
         Vehicles on a bridge above or below are left out. On a road that is driven on the left it is told in the mirror;
         see `Road.is_left_hand`.
         """
-        # Getters, not a context subscription: a standing one costs half a step more on every step, and one made for a
-        # single look costs more than all the getters together.
-        position, angle, speed = libsumo.vehicle.getPosition3D, libsumo.vehicle.getAngle, libsumo.vehicle.getSpeed
-        sizes, reach = self._sizes, self._context_m
-        host_x, host_y, host_z = position(self.host.name)
-        names, rows = (
-            [self.host.name],
-            [
-                host_x,
-                host_y,
-                angle(self.host.name),
-                speed(self.host.name),
-                *(sizes.get(self.host.name) or self._size(self.host.name)),
-            ],
-        )
-        for name in libsumo.vehicle.getIDList():
-            x, y, z = position(name)
-            if -reach < x - host_x < reach and -reach < y - host_y < reach and name != self.host.name:
-                if abs(z - host_z) >= STOREY_M:
-                    continue
-                names.append(name)
-                rows += (x, y, angle(name), speed(name), *(sizes.get(name) or self._size(name)))
+        angle, speed = libsumo.vehicle.getAngle, libsumo.vehicle.getSpeed
+        ego = (host or self.host).name
+        sizes, (reach_m, is_left_hand) = self._sizes, self._sees[ego]
+        position = libsumo.vehicle.getPosition3D(ego)
+        names, rows = [ego], [*position[:2], angle(ego), speed(ego), *(sizes.get(ego) or self._size(ego))]
+        near = self._near if len(self.hosts) == 1 else self._near_of_all
+        for name, x, y in near(ego, position, reach_m):
+            names.append(name)
+            rows += (x, y, angle(name), speed(name), *(sizes.get(name) or self._size(name)))
         vehicles = np.fromiter(rows, np.float64).reshape(len(names), -1)
-        if self._is_left_hand:  # told in the mirror
+        if is_left_hand:  # told in the mirror
             vehicles[:, 1] *= -1.0
             vehicles[:, 2] = 180.0 - vehicles[:, 2]
         return Scene(libsumo.simulation.getTime(), names, placing.boxes(vehicles))
+
+    def _near(self, ego: str, here: Place, reach_m: float) -> Iterator[tuple[str, float, float]]:
+        """Yield who else is within reach of a vehicle, and where, one after the other."""
+        # Getters, not a context subscription: a standing one costs half a step more on every step, and one made for a
+        # single look costs more than all the getters together.
+        position, (here_x, here_y, here_z) = libsumo.vehicle.getPosition3D, here
+        for name in libsumo.vehicle.getIDList():
+            x, y, z = position(name)
+            is_near = -reach_m < x - here_x < reach_m and -reach_m < y - here_y < reach_m
+            if is_near and name != ego and abs(z - here_z) < STOREY_M:
+                yield name, x, y
+
+    def _near_of_all(self, ego: str, here: Place, reach_m: float) -> Iterator[tuple[str, float, float]]:
+        """Yield the same, from where all vehicles are: read once a step, whoever looks."""
+        now_s = libsumo.simulation.getTime()
+        if self._all_at_s != now_s:
+            names = libsumo.vehicle.getIDList()
+            places = np.array([libsumo.vehicle.getPosition3D(name) for name in names])
+            self._all, self._all_at_s = (names, places.T.copy()), now_s
+        names, (x, y, z) = self._all
+        is_near = (np.abs(x - here[0]) < reach_m) & (np.abs(y - here[1]) < reach_m) & (np.abs(z - here[2]) < STOREY_M)
+        rows = is_near.nonzero()[0]
+        for row, east, north in zip(rows.tolist(), x[rows].tolist(), y[rows].tolist(), strict=True):
+            if names[row] != ego:
+                yield names[row], east, north
 
     def _size(self, name: str) -> tuple[float, float]:
         self._sizes[name] = (libsumo.vehicle.getLength(name), libsumo.vehicle.getWidth(name))
@@ -368,39 +443,73 @@ class Simulation:
     # Time goes on.
 
     def run(self, command: Command) -> int:
-        """Carry a command out and return the number of steps driven.
+        """Carry a command to the one host out and return the number of steps driven.
 
         They are fewer than asked where the host collides, or has to look again at a junction ahead.
         """
-        if bool(command.lateral_m) != bool(self._held):
-            self._release() if self._held else self._hold()
-        self.host.obey(command)
+        self.obey(self.host, command)
         for driven in range(1, command.steps + 1):
             self._step()
             if self.host.contact or self.host.must_look:
                 return driven
         return command.steps
 
-    def _step(self) -> None:
-        """Let SUMO drive one step, and note the host's speed, leader and contacts."""
-        self.host.drive()
-        libsumo.simulation.step()
-        self.host.note()
+    def obey(self, host: Host, command: Command) -> None:
+        """Have a host carry a command out in the next step and those after it."""
+        holds = any(host.name in held.by for held in self._held.values())
+        if bool(command.lateral_m) != holds:
+            self._release(host) if holds else self._hold(host)
+        host.obey(command)
 
-    def _hold(self) -> None:
-        """Keep everyone near from changing lanes while the host does.
+    def _step(self) -> None:
+        """Let SUMO drive one step, and note the hosts' speeds, leaders and contacts."""
+        for host in self.hosts:
+            host.drive()
+        libsumo.simulation.step()
+        for host in self.hosts:
+            host.note()
+
+    def step(self) -> list[str]:
+        """Let SUMO drive one step, as `run` does, and return which hosts are no longer on the road."""
+        for host in self.hosts:
+            host.drive()
+        libsumo.simulation.step()
+        gone = {*libsumo.simulation.getArrivedIDList(), *libsumo.simulation.getStartingTeleportIDList()}
+        left = [host for host in self.hosts if host.name in gone]
+        for host in left:
+            self._forget(host)
+        for host in self.hosts:
+            host.note()
+        return [host.name for host in left]
+
+    def _forget(self, host: Host) -> None:
+        self.hosts.remove(host)
+        del self._sees[host.name]
+        self._release(host)
+
+    def _hold(self, host: Host) -> None:
+        """Keep everyone near from changing lanes while a host does; other hosts know of it by its claim.
 
         SUMO knows the host in one lane only. Its own drivers would move in beside the part of it that still stands in
         the lane it has crossed out of.
         """
-        for name in self.scene().ids[1:]:
-            self._held[name] = libsumo.vehicle.getLaneChangeMode(name)
-            libsumo.vehicle.setLaneChangeMode(name, RESPECT_OTHERS_GAPS)
+        driven = {one.name for one in self.hosts}
+        for name in self.scene(host).ids[1:]:
+            if name in driven:
+                continue
+            if name not in self._held:
+                self._held[name] = _Held(libsumo.vehicle.getLaneChangeMode(name), set())
+                libsumo.vehicle.setLaneChangeMode(name, RESPECT_OTHERS_GAPS)
+            self._held[name].by.add(host.name)
 
-    def _release(self) -> None:
-        for name in sorted(self._held.keys() & self.on_road()):
-            libsumo.vehicle.setLaneChangeMode(name, self._held[name])
-        self._held = {}
+    def _release(self, host: Host) -> None:
+        on_road = self.on_road()
+        for name, held in sorted(self._held.items()):
+            held.by.discard(host.name)
+            if not held.by:
+                del self._held[name]
+                if name in on_road:
+                    libsumo.vehicle.setLaneChangeMode(name, held.mode)
 
     @property
     def now_s(self) -> float:

@@ -1,0 +1,181 @@
+"""Many driven vehicles in one simulation: a share of the demand's cars."""
+
+import hashlib
+import math
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from typing import Literal
+
+from rail_sumo import assets
+from rail_sumo.config import Config
+from rail_sumo.errors import InputError
+from rail_sumo.highway import entry, sumo_process
+from rail_sumo.highway.agent import Agent
+from rail_sumo.highway.network import demand, road
+from rail_sumo.highway.simulation import Inserted, Simulation
+from rail_sumo.records import SECONDS_PER_STEP, Floats, MetaAction
+
+Decide = Callable[[Floats, Agent], int]
+"""What decides for a vehicle: from what it observes, and the agent itself, the next `MetaAction`."""
+Instead = Literal["nothing", "acc"]
+"""What a vehicle of the share gets in place of a driver: nothing, or SUMO's own adaptive cruise control."""
+
+_HASH_BYTES = 8
+
+
+def is_driven(vehicle: str, share: float, seed: int) -> bool:
+    """Return whether a vehicle is among a share of all: those at 25 % are among those at 50 %.
+
+    It is if the hash of the seed and its id, as a fraction of all hashes, is below the share.
+    """
+    digest = hashlib.blake2b(f"{seed}:{vehicle}".encode(), digest_size=_HASH_BYTES).digest()
+    return int.from_bytes(digest, "big") < share * 2 ** (8 * _HASH_BYTES)
+
+
+@dataclass
+class Fleet:
+    """A demand of which a share of the cars is driven, from its beginning on.
+
+    Vehicles keep their departure, route, class and size. What a driven one does is what a single host would do: it
+    decides every `episode.decision_period_s` from its own entry, and once more whenever a lane change ends. At the end
+    of what it can drive of its route, and after a contact, SUMO's own driver drives on as before.
+
+    Args:
+        world: network, demand, and how vehicles sense and drive.
+        share: of the cars, 0 to 1.
+        seed: of the traffic, and of which cars are driven.
+        driver: returns what decides for a vehicle, by its id; or what it gets instead.
+        outputs: further options of SUMO's, such as those of its own reports.
+    """
+
+    world: Config
+    share: float
+    seed: int
+    driver: Callable[[str], Decide] | Instead
+    outputs: Sequence[str] = ()
+
+    def __post_init__(self) -> None:
+        self.driven: set[str] = set()
+        """The ids of those that were of the share and could be driven."""
+        self.undriven: dict[str, str] = {}
+        """Those of the share that SUMO drove all the way, and why."""
+        self.contacts = 0
+        """How often a driven vehicle struck another or was struck."""
+        self.struck_another = 0
+        """How often a driven vehicle was the one that struck."""
+        self.decisions = 0
+        """How many its drivers have taken."""
+        self._seats: dict[str, _Seat] = {}
+        self._world = self.world.changed(episode={"course_m": math.inf, "duration_s": 1e9})
+
+    @sumo_process.as_input_errors
+    def drive(self, until_s: float, *, from_s: float | None = None) -> list[int]:
+        """Let the demand drive until a time; returns how many vehicles were on the road at every full second.
+
+        Args:
+            until_s: in the demand's time.
+            from_s: when to begin; `traffic.begin_s` by default.
+
+        Raises:
+            InputError: there is no demand, or SUMO gives up.
+        """
+        own = demand.read(self.world.traffic)
+        if not own.has_traffic:
+            raise InputError(
+                "a share is of the cars of a demand, and there is none; name its files with --routes, or a .sumocfg"
+            )
+        road.require_readable(self.world.network.file)
+        begin_s = self.world.traffic.begin_s if from_s is None else from_s
+        on_road = []
+        with Simulation(
+            assets.network(self.world.network.file),
+            demand=own,
+            begin_s=begin_s,
+            seed=self.seed,
+            outputs=self.outputs,
+            limit_factor=self.world.network.limit_factor,
+        ) as simulation:
+            for number in range(round((until_s - begin_s) / SECONDS_PER_STEP)):
+                self._step(simulation)
+                if number % round(1.0 / SECONDS_PER_STEP) == 0:
+                    on_road.append(simulation.n_on_road)
+        return on_road
+
+    def _step(self, simulation: Simulation) -> None:
+        for seat in list(self._seats.values()):
+            if seat.is_over(simulation):
+                self._part(simulation, seat.agent.host.name)
+            else:
+                self.decisions += seat.command(simulation)
+        for gone in simulation.step():
+            self._seats.pop(gone, None)
+        for seat in self._seats.values():
+            seat.note()
+        for car in simulation.departed():
+            if car.is_car and is_driven(car.name, self.share, self.seed):
+                self._enter(simulation, car)
+
+    def _enter(self, simulation: Simulation, car: Inserted) -> None:
+        if self.driver == "nothing":
+            self.driven.add(car.name)
+            return
+        if self.driver == "acc":
+            simulation.give_acc(car)
+            self.driven.add(car.name)
+            return
+        try:
+            stretch = entry.stretch_of(car, self._world)
+        except InputError as error:  # too short, or not on lanes that a host may use
+            self.undriven[car.name] = str(error)
+            return
+        host = simulation.lay_course(stretch.road, self.world.adas, sees_m=stretch.sees_m, host=car.name)
+        simulation.take_over(car)
+        agent = Agent(host, stretch, self._world, keeps_trajectory=False)
+        self._seats[car.name] = _Seat(agent, self.driver(car.name))
+        self.driven.add(car.name)
+
+    def _part(self, simulation: Simulation, name: str) -> None:
+        host = self._seats.pop(name).agent.host
+        self.contacts += host.collisions + host.struck
+        self.struck_another += host.collisions
+        simulation.hand_back(host)
+
+
+class _Seat:
+    """An agent and what decides for it, step by step."""
+
+    def __init__(self, agent: Agent, decide: Decide) -> None:
+        self.agent = agent
+        self._decide = decide
+        self._ordered = self._driven = 0  # steps of the present command
+
+    def is_over(self, simulation: Simulation) -> bool:
+        """Look around if it is time to, and return whether the agent has driven as far as it can."""
+        if not self._is_due:
+            return False
+        self.agent.look(simulation.scene(self.agent.host))
+        return self.agent.end not in (None, "standstill")  # in a jam somebody may stand for long
+
+    @property
+    def _is_due(self) -> bool:
+        return self._driven == self._ordered and self.agent.is_due
+
+    def command(self, simulation: Simulation) -> bool:
+        """Give the next command if the last has been carried out; returns whether that took a decision."""
+        if self._driven < self._ordered:
+            return False
+        agent, decides = self.agent, self.agent.is_due
+        if decides:
+            agent.decide(MetaAction(self._decide(agent.observation, agent)))
+        command = agent.command()
+        simulation.obey(agent.host, command)
+        self._ordered, self._driven = command.steps, 0
+        return decides
+
+    def note(self) -> None:
+        """Note that a step has been driven."""
+        self._driven += 1
+        host = self.agent.host
+        if self._driven == self._ordered or host.contact or host.must_look:
+            self.agent.note(self._driven)
+            self._ordered = self._driven
