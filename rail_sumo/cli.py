@@ -9,6 +9,7 @@ import sys
 import time
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager, suppress
+from dataclasses import replace
 from functools import partial
 from importlib.metadata import version
 from pathlib import Path
@@ -239,6 +240,74 @@ def reproduce(
     if what == "table1":
         print((out / "table1.md").read_text(encoding="utf-8"), end="")
     print(f"{what} in {out}")
+
+
+@app.command()
+def sweep(
+    what: Annotated[str, typer.Argument(metavar="share|SECTION.KEY", help="What is varied.")],
+    values: Annotated[
+        list[str], typer.Argument(metavar="VALUE...", help="Its values; shares are of the cars, 0 to 1.")
+    ],
+    driver: Annotated[
+        list[str], typer.Option("--driver", metavar="POLICY", help="Who drives the share; repeatable. Also acc, sumo.")
+    ],
+    config_path: Annotated[Path | None, typer.Option("--config", metavar="FILE", help="A .toml.")] = None,
+    network: NetworkFile = None,
+    routes: Routes = None,
+    overrides: Overrides = None,
+    share: Annotated[
+        float | None, typer.Option(help="Of the cars, where a key is varied.", show_default="0.25")
+    ] = None,
+    seeds: Annotated[int, typer.Option(help="Runs of each.")] = 10,
+    duration: Annotated[float, typer.Option(metavar="SECONDS", help="The period that counts.")] = 600.0,
+    warm_up: Annotated[
+        str, typer.Option("--warm-up", metavar="SECONDS|auto", help="What is driven before and does not count.")
+    ] = "auto",
+    out: Annotated[Path, typer.Option(help="Folder for runs, tables and figures.")] = Path("runs/sweep"),
+    as_json: Annotated[bool, typer.Option("--json", help="Print the differences from share 0 as JSON.")] = False,
+    workers: LocalWorkers = "",
+) -> None:
+    """Tell what happens on a road as the share of driven cars grows; what is in the folder is not driven again."""
+    from rail_sumo.studies import sweep as study
+
+    n_workers = _workers(workers)
+    if n_workers == "ray":
+        raise InputError("sweep drives on this machine and takes a number of --workers, not ray")
+    is_share = what == study.SHARE
+    if is_share and share is not None:
+        raise InputError("shares are what is varied; leave out --share")
+    if not is_share and "." not in what:
+        raise InputError(f"varied is share, or a key of the configuration such as traffic.scale; got '{what}'")
+    swept = study.Sweep(
+        config_file.load(config_path, overrides_of(network, routes, overrides)),
+        tuple(driver),
+        study.shares_of(values) if is_share else (0.25 if share is None else share,),
+        out,
+        key=what,
+        settings=("",) if is_share else tuple(values),
+        seeds=seeds,
+        duration_s=duration,
+        warm_up_s=_warm_up_s(warm_up),
+        workers=n_workers,
+    )
+    try:
+        with _bars() as bars:
+            tables = replace(swept, observer=bars).drive()
+    except KeyboardInterrupt:
+        print("rail-sumo: interrupted; the same command goes on", file=sys.stderr)
+        raise typer.Exit(130) from None
+    if as_json:
+        print(tables.differences.to_json(orient="records", indent=2))
+        return
+    Console(width=None if sys.stdout.isatty() else 120).print(study.shown(swept, tables))
+    print(f"tables, figures and sweep.md in {out}")
+
+
+def _warm_up_s(text: str) -> float | None:
+    try:
+        return None if text == "auto" else float(text)
+    except ValueError:
+        raise InputError(f"--warm-up takes seconds, or auto; got '{text}'") from None
 
 
 @app.command("config")

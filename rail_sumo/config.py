@@ -93,9 +93,11 @@ class Traffic(_Section):
     additional: tuple[str, ...] = ()
     """SUMO's additional files: stops, signal programs, vehicles too. What detectors in them report is not kept, and
     nothing in them may take the host off the road."""
+    scale: Annotated[float, Field(gt=0.0, le=100.0)] = 1.0
+    """How many vehicles your own demand has, as a share of those in its files; SUMO's option of that name."""
     options: tuple[str, ...] = ()
-    """Further options of SUMO's, such as "scale=2", by their names on its command line; not those that are rail-sumo's
-    to set: time, contacts, outputs."""
+    """Further options of SUMO's, such as "random-depart-offset=5", by their names on its command line; not those that
+    are rail-sumo's to set: time, contacts, outputs."""
     vehicles: Annotated[int, Field(ge=0, le=500)] = 18
     """In the moving window, beside the host."""
     ahead_m: Annotated[float, Field(ge=50.0, le=2000.0)] = 250.0

@@ -37,6 +37,14 @@ def load(path: Path | None = None, overrides: Iterable[str] = ()) -> Config:
     return validate(tree)
 
 
+def changed(config: Config, overrides: Iterable[str]) -> Config:
+    """Return a configuration with `section.key=value` overrides; see `load` for the errors."""
+    tree = tomllib.loads(dumps(config))
+    for override in overrides:
+        _apply(tree, override)
+    return validate(tree)
+
+
 def of(given: Config | Mapping[str, Any] | str | Path | None) -> Config:
     """Return a configuration given as such, as nested mappings, or as a TOML file; without any, the default.
 

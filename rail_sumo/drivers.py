@@ -14,19 +14,19 @@ from rail_sumo.config_file import first_difference, recorded
 from rail_sumo.errors import InputError, ObservationError, did_you_mean
 from rail_sumo.highway import acc
 from rail_sumo.highway.acc import Leader
-from rail_sumo.highway.env import HighwayEnv
+from rail_sumo.highway.agent import Agent
 from rail_sumo.policy import PolicyParameters
 from rail_sumo.records import Floats, Gaps, MetaAction
 
 
 class Driver(Protocol):
-    """Decides from what the supervisor sees; the environment is at hand for drivers that see more."""
+    """Decides from what the supervisor sees; its vehicle is at hand for drivers that see more."""
 
     @property
     def senses(self) -> Senses | None:
         """What it must see with; None if it takes what the world's configuration says."""
 
-    def decide(self, observation: Floats, env: HighwayEnv) -> int:
+    def decide(self, observation: Floats, agent: Agent) -> int:
         """Return the next `MetaAction`."""
 
 
@@ -35,7 +35,7 @@ class Keep:
 
     senses = None
 
-    def decide(self, observation: Floats, env: HighwayEnv) -> int:
+    def decide(self, observation: Floats, agent: Agent) -> int:
         """Return KEEP."""
         return MetaAction.KEEP
 
@@ -48,7 +48,7 @@ class Random:
     def __init__(self, rng: np.random.Generator) -> None:
         self._rng = rng
 
-    def decide(self, observation: Floats, env: HighwayEnv) -> int:
+    def decide(self, observation: Floats, agent: Agent) -> int:
         """Return any meta-action."""
         return int(self._rng.integers(len(MetaAction)))
 
@@ -67,15 +67,15 @@ class Rule:
     def __init__(self, adas: Adas) -> None:
         self._adas = adas
 
-    def decide(self, observation: Floats, env: HighwayEnv) -> int:
+    def decide(self, observation: Floats, agent: Agent) -> int:
         """Return the meta-action with the best prospect."""
-        host, here, left, right = env.surroundings()
-        mask = env.action_masks()
+        host, here, left, right = agent.surroundings()
+        mask = agent.action_masks()
         top = self._adas.highest_mps(host.limit_mps)
         now = self._prospect(here, top)
         sides = [(self._prospect(left, top), MetaAction.LEFT), (self._prospect(right, top), MetaAction.RIGHT)]
         best, side = max((side for side in sides if mask[side[1]]), default=(-math.inf, MetaAction.KEEP))
-        if not env.is_changing_lane and best > now + self.GAIN_MPS:
+        if not agent.is_changing_lane and best > now + self.GAIN_MPS:
             return side
         if host.speed_mps < min(now, top) - 0.5:
             return MetaAction.ACCELERATE
@@ -97,13 +97,13 @@ class Expert:
         self.layers = layers
         self.senses = senses
 
-    def decide(self, observation: Floats, env: HighwayEnv) -> int:
+    def decide(self, observation: Floats, agent: Agent) -> int:
         """Return the allowed action with the largest output."""
         hidden = observation
         for weights, biases in self.layers[:-1]:
             hidden = np.tanh(weights @ hidden + biases)
         weights, biases = self.layers[-1]
-        return int(np.where(env.action_masks(), weights @ hidden + biases, -np.inf).argmax())
+        return int(np.where(agent.action_masks(), weights @ hidden + biases, -np.inf).argmax())
 
 
 class Learned:
@@ -121,13 +121,13 @@ class Learned:
         # A stream of its own, beside the traffic's.
         self._rng = np.random.default_rng([seed, 2]) if parameters.samples else None
 
-    def decide(self, observation: Floats, env: HighwayEnv) -> int:
+    def decide(self, observation: Floats, agent: Agent) -> int:
         """Return the most probable action, or a sampled one."""
         outputs = self._policy.outputs(observation)
         if self._rng is not None:
             outputs = outputs + self._rng.gumbel(size=len(outputs))  # the Gumbel-max trick
         if self._masked:
-            outputs = np.where(env.action_masks(), outputs, -np.inf)
+            outputs = np.where(agent.action_masks(), outputs, -np.inf)
         return int(outputs.argmax())
 
 
@@ -140,10 +140,10 @@ class Advised:
         self.senses = driver.senses
         self.advice: list[int] = []
 
-    def decide(self, observation: Floats, env: HighwayEnv) -> int:
+    def decide(self, observation: Floats, agent: Agent) -> int:
         """Return the driver's own decision."""
-        self.advice.append(self._adviser.decide(observation, env))
-        return self._driver.decide(observation, env)
+        self.advice.append(self._adviser.decide(observation, agent))
+        return self._driver.decide(observation, agent)
 
 
 SHIPPED = ("rail", "road-expert", "road-rail")

@@ -71,7 +71,7 @@ def drive(task: Task) -> Trajectory:
         NotBegun: it cannot begin.
         InputError: SUMO stops.
     """
-    return _drive(task, _driver(task))
+    return _drive(task, driver_of(task.driver, task.config, task.seed))
 
 
 def attempt(task: Task) -> Trajectory | Undriven:
@@ -107,7 +107,7 @@ def _practise(how: Callable[[Task], Driven], task: Task) -> Driven:
 
 def _drive_advised(task: Task) -> tuple[Trajectory, NDArray[np.int64]]:
     assert task.adviser is not None
-    driver = drivers.Advised(_driver(task), task.adviser)
+    driver = drivers.Advised(driver_of(task.driver, task.config, task.seed), task.adviser)
     return _drive(task, driver), np.array(driver.advice, dtype=np.int64)
 
 
@@ -118,7 +118,7 @@ def _drive(task: Task, driver: drivers.Driver) -> Trajectory:
     try:
         observation = _begin_episode(env, task.seed)
         while not env.is_over:
-            observation, _ = env.drive(driver.decide(observation, env))
+            observation, _ = env.drive(driver.decide(observation, env.agent))
         return env.trajectory()
     finally:
         env.close()
@@ -131,12 +131,13 @@ def _begin_episode(env: HighwayEnv, seed: int) -> Floats:
         raise NotBegun(str(error)) from None
 
 
-def _driver(task: Task) -> drivers.Driver:
-    if isinstance(task.driver, str):
-        return drivers.by_name(task.driver, task.config, task.seed)
-    if isinstance(task.driver, PolicyParameters):
-        return drivers.Learned(task.driver, task.seed)
-    return task.driver
+def driver_of(who: Who, config: Config, seed: int) -> drivers.Driver:
+    """Return a driver for one episode; what it draws follows from the seed."""
+    if isinstance(who, str):
+        return drivers.by_name(who, config, seed)
+    if isinstance(who, PolicyParameters):
+        return drivers.Learned(who, seed)
+    return who
 
 
 WorkerCount = int | Literal["ray"]

@@ -393,6 +393,16 @@ def _demonstrations_file(config: Config) -> Path:
 
 def inputs_of(config: Config) -> dict[str, str]:
     """Return the SHA-256 of every file that a training with this configuration reads, by the key that names it."""
+    inputs = world_inputs(config)
+    if learner_of(config).reads_demonstrations:
+        inputs["train.demonstrations"] = assets.sha256(_demonstrations_file(config))
+    if learner_of(config).asks_the_expert:
+        inputs |= expert_input(config)
+    return inputs
+
+
+def world_inputs(config: Config) -> dict[str, str]:
+    """Return the SHA-256 of every file that driving in this configuration reads, by the key that names it."""
     traffic = demand.read(config.traffic)
     inputs = {
         "network.file": assets.sha256(assets.network(config.network.file)),
@@ -404,10 +414,6 @@ def inputs_of(config: Config) -> dict[str, str]:
     others = [file for file in traffic.files if file not in traffic.routes]
     if others:
         inputs["traffic.additional"] = " ".join(map(assets.sha256, others))
-    if learner_of(config).reads_demonstrations:
-        inputs["train.demonstrations"] = assets.sha256(_demonstrations_file(config))
-    if learner_of(config).asks_the_expert:
-        inputs |= expert_input(config)
     return inputs
 
 

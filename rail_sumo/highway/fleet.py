@@ -65,6 +65,12 @@ class Fleet:
         """How often a driven vehicle was the one that struck."""
         self.decisions = 0
         """How many its drivers have taken."""
+        self.inserted: dict[str, Inserted] = {}
+        """Everybody who has been put on the road, by id."""
+        self.lanes: dict[str, tuple[float, float]] = {}
+        """Length and limit of every lane, see `Simulation.lanes`."""
+        self.teleported: list[tuple[float, str]] = []
+        """Who was taken off the road to be put on again elsewhere, and when."""
         self._seats: dict[str, _Seat] = {}
         self._world = self.world.changed(episode={"course_m": math.inf, "duration_s": 1e9})
 
@@ -95,6 +101,7 @@ class Fleet:
             outputs=self.outputs,
             limit_factor=self.world.network.limit_factor,
         ) as simulation:
+            self.lanes = simulation.lanes()
             for number in range(round((until_s - begin_s) / SECONDS_PER_STEP)):
                 self._step(simulation)
                 if number % round(1.0 / SECONDS_PER_STEP) == 0:
@@ -111,7 +118,9 @@ class Fleet:
             self._seats.pop(gone, None)
         for seat in self._seats.values():
             seat.note()
+        self.teleported += [(simulation.now_s, name) for name in simulation.teleporting()]
         for car in simulation.departed():
+            self.inserted[car.name] = car
             if car.is_car and is_driven(car.name, self.share, self.seed):
                 self._enter(simulation, car)
 

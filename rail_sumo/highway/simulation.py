@@ -337,6 +337,16 @@ class Simulation:
         """Return the names of all vehicles that have been inserted and have not arrived."""
         return set(libsumo.vehicle.getIDList())
 
+    def lanes(self) -> dict[str, tuple[float, float]]:
+        """Return length and limit, in m and m/s, of every lane that is open to cars; junctions' insides too."""
+        get = libsumo.lane
+        allowed = {name: get.getAllowed(name) for name in get.getIDList()}  # nobody named: everybody
+        return {
+            name: (get.getLength(name), get.getMaxSpeed(name))
+            for name, classes in allowed.items()
+            if not classes or not CARS.isdisjoint(classes)
+        }
+
     @property
     def n_on_road(self) -> int:
         """How many vehicles are on the road."""
@@ -474,13 +484,18 @@ class Simulation:
         for host in self.hosts:
             host.drive()
         libsumo.simulation.step()
-        gone = {*libsumo.simulation.getArrivedIDList(), *libsumo.simulation.getStartingTeleportIDList()}
+        gone = {*libsumo.simulation.getArrivedIDList(), *self.teleporting()}
         left = [host for host in self.hosts if host.name in gone]
         for host in left:
             self._forget(host)
         for host in self.hosts:
             host.note()
         return [host.name for host in left]
+
+    def teleporting(self) -> Sequence[str]:
+        """Return who has been taken off the road in the last step, to be put on again elsewhere."""
+        names: Sequence[str] = libsumo.simulation.getStartingTeleportIDList()
+        return names
 
     def _forget(self, host: Host) -> None:
         self.hosts.remove(host)

@@ -103,7 +103,12 @@ def read(traffic: config.Traffic) -> Demand:
         InputError: no such file, not XML, one that has our ids or includes itself, or an option that is ours to set.
     """
     routes, additional = tuple(map(assets.routes, traffic.routes)), tuple(map(assets.additional, traffic.additional))
-    demand = Demand(routes, additional, dict(_options(traffic.options)))
+    options = dict(_options(traffic.options))
+    if traffic.scale != 1.0:
+        if "scale" in options:
+            raise InputError("the demand is scaled twice, by traffic.scale and by an option; leave one of them out")
+        options["scale"] = f"{traffic.scale:g}"
+    demand = Demand(routes, additional, options)
     for path in demand.files:
         reserved = _content(path, state_of(path)).reserved
         if reserved:

@@ -1,0 +1,242 @@
+"""What SUMO wrote of a run -> a row: how all its vehicles drove, those of a share of them, and the others."""
+
+import xml.etree.ElementTree as ElementTree
+from collections.abc import Callable, Iterator, Mapping, Set
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import numpy as np
+import pandas as pd
+
+from rail_sumo.records import KMH
+
+SAMPLED_S = 0.5
+"""How often every vehicle's speed, lane and leader are noted."""
+LEADER_WITHIN_M = 200.0
+"""How far ahead somebody counts as the leader."""
+
+# From where on it counts, and where a braking that has been counted is over.
+HARD_MPS2, EASED_MPS2 = 3.5, 0.5
+TTC_S = 1.5
+DRAC_MPS2 = 3.4
+"""Deceleration to avoid a crash: (v - w)^2 / (2 gap). Archer (2005)."""
+PETROL_G_PER_ML = 0.742
+"""SUMO tells fuel by its mass."""
+
+ALL, DRIVEN, OTHERS = "all", "driven", "others"
+KINDS = (ALL, DRIVEN, OTHERS)
+
+MEASURES: dict[str, str] = {
+    "n_vehicles": "int64",  # on the road at some time of the period
+    "inserted": "int64",
+    "arrived": "int64",
+    "unfinished": "int64",  # on the road at the end of the period
+    "waiting": "int64",  # to be inserted, at the end of the period
+    "vehkm": "float64",
+    "flow_vehph": "float64",
+    "density_vehpkm_lane": "float64",
+    "speed_kmh": "float64",
+    "speed_std_kmh": "float64",
+    "time_loss_s_per_km": "float64",
+    "depart_delay_s": "float64",
+    "lane_changes_per_vehkm": "float64",
+    "hard_brakings_per_vehkm": "float64",
+    "ttc_below_1_5s_per_vehkm": "float64",
+    "drac_above_3_4_per_vehkm": "float64",
+    "co2_g_per_vehkm": "float64",
+    "fuel_ml_per_vehkm": "float64",
+    "collisions": "int64",
+    "teleports": "int64",
+}
+"""The measures, in order, with their pandas types. Their definitions are in docs/share.md."""
+
+
+class Lane(NamedTuple):
+    """A lane that is open to cars, or a junction's inside."""
+
+    length_m: float
+    limit_mps: float
+
+
+class Wish(NamedTuple):
+    """How fast a vehicle is meant to drive: by its speed factor where a limit applies, and at most."""
+
+    speed_factor: float
+    fastest_mps: float
+
+
+@dataclass(frozen=True)
+class Run:
+    """What is known of a run beside SUMO's reports."""
+
+    folder: Path
+    """Where SUMO wrote them; see `options`."""
+    from_s: float
+    """When the period that counts begins, ..."""
+    until_s: float
+    """... and when it ends."""
+    wishes: Mapping[str, Wish]
+    """Of every vehicle that was inserted."""
+    lanes: Mapping[str, Lane]
+    """By their id."""
+    teleported: tuple[tuple[float, str], ...] = ()
+    """When who was taken off the road to be put on again elsewhere."""
+
+
+def options(folder: Path) -> tuple[str, ...]:
+    """Return the options that have SUMO write what `measures` reads."""
+    return (
+        *("--fcd-output", str(folder / "fcd.csv"), "--fcd-output.attributes", "speed,lane,leaderGap,leaderSpeed"),
+        *("--fcd-output.max-leader-distance", str(LEADER_WITHIN_M), "--device.fcd.period", str(SAMPLED_S)),
+        *("--tripinfo-output", str(folder / "trips.xml"), "--tripinfo-output.write-unfinished", "true"),
+        *("--tripinfo-output.write-undeparted", "true", "--device.emissions.probability", "1"),
+        *("--lanechange-output", str(folder / "changes.xml"), "--collision-output", str(folder / "collisions.xml")),
+    )
+
+
+class Reports:
+    """SUMO's reports of one run, read once; `measures` may be asked for several shares.
+
+    Args:
+        run: where they are, and what SUMO does not write.
+    """
+
+    def __init__(self, run: Run) -> None:
+        self._run = run
+        self._samples = _samples(run)
+        self._trips = _trips(run.folder / "trips.xml")
+        self._changed = [
+            (float(one.get("time", "")), one.get("id", "")) for one in _elements(run.folder / "changes.xml", "change")
+        ]
+        self._collided = [
+            (float(one.get("time", "")), {one.get("collider", ""), one.get("victim", "")})
+            for one in _elements(run.folder / "collisions.xml", "collision")
+        ]
+        used = {lane.rpartition("_")[0] for lane in self._samples["lane"].unique()}
+        lanes_m: dict[str, list[float]] = {edge: [] for edge in used}
+        for name, lane in run.lanes.items():
+            if (edge := name.rpartition("_")[0]) in used:
+                lanes_m[edge].append(lane.length_m)
+        self._road_m = sum(max(of_edge) for of_edge in lanes_m.values() if of_edge)
+        self._lanes_m = sum(sum(of_edge) for of_edge in lanes_m.values())
+
+    def measures(self, driven: Set[str]) -> Iterator[dict[str, Any]]:
+        """Yield the measures of all vehicles, of those named and of the others, each with its kind as `vehicles`."""
+        samples, trips = self._samples, self._trips
+        for kind in KINDS:
+            of_kind = samples if kind == ALL else samples[samples["id"].isin(driven) == (kind == DRIVEN)]
+            trips_of_kind = trips if kind == ALL else trips[trips["id"].isin(driven) == (kind == DRIVEN)]
+            belongs = {ALL: lambda name: True, DRIVEN: driven.__contains__, OTHERS: lambda name: name not in driven}
+            yield {"vehicles": kind} | self._of(of_kind, trips_of_kind, belongs[kind])
+
+    def _of(self, samples: pd.DataFrame, trips: pd.DataFrame, belongs: Callable[[str], bool]) -> dict[str, Any]:
+        run = self._run
+        period_s = run.until_s - run.from_s
+        road_m, lanes_m = self._road_m, self._lanes_m
+        driven_s, driven_m = SAMPLED_S * len(samples), SAMPLED_S * float(samples["speed"].sum())
+        vehkm = driven_m / 1000
+        departed = trips[(trips["depart"] >= run.from_s) & (trips["depart"] < run.until_s)]
+        arrived = trips[(trips["arrival"] >= run.from_s) & (trips["arrival"] < run.until_s)]
+        waiting = trips[trips["depart"] < 0]
+        delays = pd.concat([departed["delay"], waiting["delay"]])
+        whole_km = departed["metres"].sum() / 1000
+
+        def within(events: list[tuple[float, Any]]) -> list[Any]:
+            return [who for time_s, who in events if run.from_s <= time_s < run.until_s]
+
+        def per_vehkm(count: float, km: float = vehkm) -> float:
+            return count / km if km else np.nan
+
+        return {
+            "n_vehicles": samples["id"].nunique(),
+            "inserted": len(departed),
+            "arrived": len(arrived),
+            "unfinished": int(((trips["depart"] >= 0) & (trips["arrival"] < 0)).sum()),
+            "waiting": len(waiting),
+            "vehkm": vehkm,
+            "flow_vehph": 3600 * driven_m / (road_m * period_s) if road_m else np.nan,
+            "density_vehpkm_lane": 1000 * driven_s / (lanes_m * period_s) if lanes_m else np.nan,
+            "speed_kmh": KMH * driven_m / driven_s if driven_s else np.nan,
+            "speed_std_kmh": KMH * _std_within(samples),
+            "time_loss_s_per_km": per_vehkm(SAMPLED_S * float((1 - samples["speed"] / samples["wish"]).clip(0).sum())),
+            "depart_delay_s": delays.mean() if len(delays) else np.nan,
+            "lane_changes_per_vehkm": per_vehkm(sum(map(belongs, within(self._changed)))),
+            "hard_brakings_per_vehkm": per_vehkm(int(samples["brakes_hard"].sum())),
+            "ttc_below_1_5s_per_vehkm": per_vehkm(int(samples["ttc_short"].sum())),
+            "drac_above_3_4_per_vehkm": per_vehkm(int(samples["drac_high"].sum())),
+            "co2_g_per_vehkm": per_vehkm(departed["co2_mg"].sum() / 1000, whole_km),
+            "fuel_ml_per_vehkm": per_vehkm(departed["fuel_mg"].sum() / 1000 / PETROL_G_PER_ML, whole_km),
+            "collisions": sum(any(map(belongs, both)) for both in within(self._collided)),
+            "teleports": sum(map(belongs, within(list(run.teleported)))),
+        }
+
+
+def _samples(run: Run) -> pd.DataFrame:
+    """Return who drove how fast where in the period, twice a second, and where which conflict or braking begins."""
+    read = pd.read_csv(run.folder / "fcd.csv", sep=";")
+    read.columns = [name.rpartition("_")[2] for name in read.columns]
+    read = read[(read["time"] >= run.from_s) & (read["time"] < run.until_s) & read["id"].notna()]
+    read = read.sort_values(["id", "time"], kind="stable", ignore_index=True)
+    limits = read["lane"].map({name: lane.limit_mps for name, lane in run.lanes.items()}).to_numpy(np.float64)
+    factors, fastest = (read["id"].map({k: wish[n] for k, wish in run.wishes.items()}) for n in (0, 1))
+    read["wish"] = np.fmin(limits * factors.to_numpy(np.float64), fastest.to_numpy(np.float64))
+    speed, gap = read["speed"].to_numpy(), read["leaderGap"].to_numpy()
+    closing = speed - read["leaderSpeed"].to_numpy()
+    closes = (gap > 0.0) & (closing > 0.0)
+    ttc = np.divide(gap, closing, out=np.full(len(read), np.inf), where=closes)
+    drac = np.divide(closing**2, 2 * gap, out=np.zeros(len(read)), where=closes)
+    is_next = (read["id"] == read["id"].shift()) & ((read["time"] - read["time"].shift()).round(1) == SAMPLED_S)
+    is_next = is_next.to_numpy()
+    braking = np.where(is_next, -np.diff(speed, prepend=speed[:1]) / SAMPLED_S, 0.0)
+    read["brakes_hard"] = _begins_until_eased(braking > HARD_MPS2, braking < EASED_MPS2)
+    read["ttc_short"] = _begins(ttc < TTC_S, is_next)
+    read["drac_high"] = _begins(drac > DRAC_MPS2, is_next)
+    return read
+
+
+def _begins(holds: np.ndarray, is_next: np.ndarray) -> np.ndarray:
+    """Return where something begins to hold for a vehicle; rows of a vehicle follow one another."""
+    before = np.concatenate(([False], holds[:-1])) & is_next
+    return holds & ~before
+
+
+def _begins_until_eased(hard: np.ndarray, eased: np.ndarray) -> np.ndarray:
+    """Return where a hard braking begins; it counts once until it is over."""
+    begins, is_counted = np.zeros(len(hard), dtype=bool), False
+    for row in np.flatnonzero(hard | eased).tolist():
+        begins[row] = hard[row] and not is_counted
+        is_counted = (is_counted or hard[row]) and not eased[row]
+    return begins
+
+
+def _std_within(samples: pd.DataFrame) -> float:
+    """Return how much a vehicle's speed varies, in m/s: the root of the mean variance about each one's own mean."""
+    if not len(samples):
+        return np.nan
+    deviation = samples["speed"] - samples.groupby("id")["speed"].transform("mean")
+    return float(np.sqrt((deviation**2).mean()))
+
+
+def _trips(file: Path) -> pd.DataFrame:
+    """Return SUMO's `tripinfo`; of who has not departed or arrived the time is negative."""
+    rows = []
+    for trip in _elements(file, "tripinfo"):
+        emissions = trip.find("emissions")
+        rows.append({
+            "id": trip.get("id"),
+            "depart": float(trip.get("depart", "")),
+            "delay": float(trip.get("departDelay", "")),
+            "arrival": float(trip.get("arrival", "")),
+            "metres": float(trip.get("routeLength", "")),
+            "co2_mg": 0.0 if emissions is None else float(emissions.get("CO2_abs", "0")),
+            "fuel_mg": 0.0 if emissions is None else float(emissions.get("fuel_abs", "0")),
+        })  # fmt: skip
+    columns = ["id", "depart", "delay", "arrival", "metres", "co2_mg", "fuel_mg"]
+    return pd.DataFrame(rows, columns=columns)
+
+
+def _elements(file: Path, tag: str) -> Iterator[ElementTree.Element]:
+    for _, element in ElementTree.iterparse(file):
+        if element.tag == tag:
+            yield element
