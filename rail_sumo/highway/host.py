@@ -168,10 +168,13 @@ class Host:
         self._leader = self._look_ahead()
 
     def let_go(self, kind: str, *, speed_factor: float) -> None:
-        """Be a vehicle of SUMO's again, of a type of the demand's and as fast as it was meant to be."""
+        """Be a vehicle of SUMO's again, of a type of the demand's and as fast as it was meant to be.
+
+        If it is faster, it stays so: SUMO would brake it hard, and it leaves the road soon.
+        """
         vehicle = libsumo.vehicle
         vehicle.setType(self.name, kind)
-        vehicle.setSpeedFactor(self.name, speed_factor)
+        vehicle.setSpeedFactor(self.name, max(speed_factor, self.speeds_mps[-1] / self.limit_mps))
         vehicle.setSpeed(self.name, SUMO_DECIDES)
         vehicle.setSpeedMode(self.name, SUMO_SPEED_MODE)
         vehicle.setLaneChangeMode(self.name, SUMO_CHANGES_LANES)
