@@ -139,7 +139,13 @@ class Fleet:
             return
         host = simulation.lay_course(stretch.road, self.world.adas, sees_m=stretch.sees_m, host=car.name)
         simulation.take_over(car)
-        agent = Agent(host, stretch, self._world, keeps_trajectory=False)
+        agent = Agent(
+            host,
+            stretch,
+            self._world,
+            enters_as_traffic=self.world.adas.starts_by_the_limit,
+            keeps_trajectory=False,
+        )
         self._seats[car.name] = _Seat(agent, self.driver(car.name))
         self.driven.add(car.name)
 

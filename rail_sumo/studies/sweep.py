@@ -43,8 +43,8 @@ SHARE = "share"
 ACC, AS_THEY_ARE = "acc", "sumo"
 """SUMO's own adaptive cruise control; and the placebo: vehicles that count as driven, and are left as they are."""
 AUTO = "auto"
-FOUND_OVER = 2.0
-"""To find the warm-up the traffic is watched for so many times the period that counts."""
+FOUND_OVER, FOUND_WITHIN_S = 2.0, 1200.0
+"""To find the warm-up the traffic is watched for so many times the period that counts, and no less long than this."""
 
 MADE_OF = b"rail_sumo"
 KEYS = {"driver": "string", "setting": "string", "share": "float64", "seed": "int64", "vehicles": "string"}
@@ -194,7 +194,7 @@ class Sweep:
         pilot = Fleet(self._world(self.settings[0]), 0.0, traffic_seed(0, EVALUATION, 0), "nothing")
         begin_s = pilot.world.traffic.begin_s
         self.observer.start("warm-up", 1)
-        counts = pilot.drive(begin_s + FOUND_OVER * self.duration_s)
+        counts = pilot.drive(begin_s + max(FOUND_OVER * self.duration_s, FOUND_WITHIN_S))
         self.observer.advance({})
         seconds, settles = warm_up.found_s(counts)
         if not settles:

@@ -1,0 +1,229 @@
+"""Many driven vehicles in one simulation, in SUMO."""
+
+import math
+import xml.etree.ElementTree as ElementTree
+
+import libsumo
+import numpy as np
+import pytest
+from driving import KEEP, LEFT, RIGHT, UNSEEN
+from hypothesis import given
+from hypothesis import strategies as st
+from sketch import cut_road
+
+from rail_sumo import config_file, rollout, run
+from rail_sumo.errors import InputError
+from rail_sumo.highway import fleet
+from rail_sumo.highway.env import HighwayEnv
+from rail_sumo.highway.fleet import Fleet, is_driven
+from rail_sumo.highway.simulation import Simulation
+
+SEED = UNSEEN + 100
+
+
+def with_demand(network, routes="", **sections):
+    return config_file.validate(
+        {"network": {"file": str(network)}, "traffic": {"routes": [str(routes or network)]}} | sections
+    )
+
+
+def driver(name, world):
+    return lambda vehicle: rollout.driver_of(name, world, sum(vehicle.encode())).decide
+
+
+# Who is driven.
+
+
+@given(st.text(), st.integers(0, 2**31), st.floats(0.0, 1.0), st.floats(0.0, 1.0))
+def test_who_is_driven_at_a_share_is_at_every_larger_one(vehicle, seed, one, other):
+    assert not is_driven(vehicle, 0.0, seed)
+    assert is_driven(vehicle, 1.0, seed)
+    assert is_driven(vehicle, min(one, other), seed) <= is_driven(vehicle, max(one, other), seed)
+
+
+def test_the_share_is_that_of_the_vehicles_and_another_seed_draws_others():
+    names = [f"flow.{number}" for number in range(10_000)]
+    for share in (0.1, 0.5):
+        drawn = [is_driven(name, share, 1) for name in names]
+        assert np.mean(drawn) == pytest.approx(share, abs=4 * math.sqrt(share * (1 - share) / len(names)))
+    one, other = ([is_driven(name, 0.5, seed) for name in names] for seed in (1, 2))
+    assert np.corrcoef(one, other)[0, 1] == pytest.approx(0.0, abs=0.05)
+
+
+def test_only_cars_are_driven_in_the_whole_of_the_share(tmp_path):
+    routes = tmp_path / "mixed.rou.xml"
+    routes.write_text(
+        '<routes><vType id="lorry" vClass="truck"/><vType id="car"/><route id="r" edges="highway"/>'
+        '<flow id="lorry" type="lorry" route="r" begin="0" end="60" period="5" departLane="0"/>'
+        '<flow id="car" type="car" route="r" begin="1" end="60" period="5" departLane="1"/></routes>'
+    )
+    world = with_demand("highway3", routes)
+    driven = Fleet(world, 1.0, SEED, driver("keep", world))
+    driven.drive(70.0)
+    assert driven.driven == {f"car.{number}" for number in range(12)}
+    assert len(driven.inserted) == 24
+
+
+# One of them drives as a single host does.
+
+
+@pytest.mark.parametrize("network", ["highway3", "onramp", "arterial"])
+@pytest.mark.parametrize("name", ["rule", "random", "road-rail"])
+def test_a_fleet_of_one_drives_as_the_environment_has_it_to_the_byte(monkeypatch, network, name):
+    world = with_demand(network)
+    env = HighwayEnv(world)
+    env.reset(seed=SEED)
+    chosen, entered_s = env.host_name, libsumo.simulation.getTime()
+    env.close()
+    world = config_file.changed(world, [f'traffic.host="{chosen}"'])
+    who = run.find_driver(name, world)
+    seen = world.seen_with(getattr(who, "senses", None))
+    alone = HighwayEnv(seen)
+    observation, _ = alone.reset(seed=SEED)
+    decide = rollout.driver_of(who, world, sum(chosen.encode())).decide
+    for _ in range(40):
+        if alone.is_over:
+            break
+        observation, _ = alone.drive(decide(observation, alone.agent))
+    expected, lasted_s = list(alone.agent.host.speeds_mps), libsumo.simulation.getTime() - entered_s
+    alone.close()
+
+    monkeypatch.setattr(fleet, "is_driven", lambda vehicle, share, seed: vehicle == chosen)
+    kept = []
+    monkeypatch.setattr(fleet.Agent, "decide", keep_host(fleet.Agent.decide, kept))
+    Fleet(seen, 1.0, SEED, driver(who, world)).drive(entered_s + lasted_s)
+    assert len(expected) > 100
+    assert kept[0].speeds_mps[: len(expected)] == expected[: len(kept[0].speeds_mps)]
+    assert abs(len(kept[0].speeds_mps) - len(expected)) <= 1
+
+
+def keep_host(decide, kept):
+    def wrapped(agent, action):
+        if agent.host not in kept:
+            kept.append(agent.host)
+        decide(agent, action)
+
+    return wrapped
+
+
+# They keep clear of one another.
+
+
+@pytest.mark.parametrize("name", ["random", "rule"])
+@pytest.mark.parametrize("network", ["highway3", "onramp", "ring5"])
+def test_where_all_cars_are_driven_nobody_is_touched(monkeypatch, touching, network, name):
+    world, scenes = with_demand(network), []
+    step = Simulation.step
+
+    def watched(simulation):
+        gone = step(simulation)
+        if simulation.hosts:
+            scenes.append(simulation.scene(simulation.hosts[len(scenes) % len(simulation.hosts)]))
+        return gone
+
+    monkeypatch.setattr(Simulation, "step", watched)
+    driven = Fleet(world, 1.0, SEED, driver(name, world))
+    driven.drive(60.0)
+    assert len(driven.driven) > 15
+    assert driven.decisions > 500
+    assert driven.contacts == 0
+    assert not any(touching(scene) for scene in scenes)
+
+
+@pytest.mark.parametrize("apart_m", [0.0, 6.0, -6.0])
+def test_of_two_that_aim_for_one_gap_from_either_side_one_waits(tmp_path, touching, apart_m):
+    network, routes = tmp_path / "three.net.xml", tmp_path / "two.rou.xml"
+    network.write_text(cut_road(3000.0, lanes=3))
+    routes.write_text(
+        '<routes><vType id="car" speedFactor="1" sigma="0"/><route id="r" edges="part0"/>'
+        f'<vehicle id="right" type="car" route="r" depart="0" departLane="0" departPos="50" departSpeed="20"/>'
+        f'<vehicle id="left" type="car" route="r" depart="0" departLane="2" departPos="{50 + apart_m}" '
+        'departSpeed="20"/></routes>'
+    )
+    lanes, scenes = [], []
+
+    def to_the_middle(vehicle):
+        def decide(observation, agent):
+            lanes.append({name: libsumo.vehicle.getLaneIndex(name) for name in libsumo.vehicle.getIDList()})
+            scenes.append(agent.scene)
+            at_the_side = lanes[-1][vehicle] != 1
+            return (LEFT if vehicle == "right" else RIGHT) if at_the_side else KEEP
+
+        return decide
+
+    driven = Fleet(with_demand(network, routes), 1.0, SEED, to_the_middle)
+    driven.drive(20.0)
+    assert driven.driven == {"left", "right"}
+    assert driven.contacts == 0
+    assert not any(touching(scene) for scene in scenes)
+    in_the_middle = [sum(lane == 1 for lane in one.values()) for one in lanes]
+    assert max(in_the_middle) == 1, "the second would have to be clear of the first"
+
+
+# What becomes of them, and of the traffic.
+
+
+def trips(world, share, who, folder, until_s=150.0):
+    file = folder / f"trips-{share}-{who if isinstance(who, str) else 'driven'}.xml"
+    options = ("--tripinfo-output", str(file), "--tripinfo-output.write-unfinished", "true")
+    driven = Fleet(world, share, SEED, who, options)
+    driven.drive(until_s)
+    return driven, {trip.get("id"): trip for trip in ElementTree.parse(file).getroot()}
+
+
+@pytest.mark.parametrize("network", ["highway3", "onramp"])
+def test_departures_types_and_vehicles_are_the_same_at_every_share(tmp_path, network):
+    world = with_demand(network)
+
+    def of(driven, listed):
+        wanted = {name: float(trip.get("depart")) - float(trip.get("departDelay")) for name, trip in listed.items()}
+        kinds = {name: (car.kind, car.edges, round(car.speed_factor, 4)) for name, car in driven.inserted.items()}
+        return {name: round(at, 2) for name, at in wanted.items()}, kinds
+
+    as_they_are = of(*trips(world, 0.0, "nothing", tmp_path))
+    assert len(as_they_are[0]) > 50
+    for share, who in ((0.5, driver("rule", world)), (1.0, "acc")):
+        assert of(*trips(world, share, who, tmp_path)) == as_they_are
+
+
+def test_left_as_they_are_a_share_drives_as_without_one_to_the_byte(tmp_path):
+    world, written = with_demand("onramp"), []
+    for share in (0.0, 0.5):
+        file = tmp_path / f"{share}.csv"
+        driven = Fleet(world, share, SEED, "nothing", ("--fcd-output", str(file)))
+        driven.drive(60.0)
+        assert bool(driven.driven) == (share > 0.0)
+        written.append(file.read_bytes())
+    assert written[0] == written[1]
+    assert len(written[0]) > 10_000
+
+
+def test_at_the_end_of_their_way_they_are_the_demands_vehicles_again_and_arrive(tmp_path):
+    routes = tmp_path / "short.rou.xml"
+    routes.write_text(
+        '<routes><vType id="slow" vClass="passenger" maxSpeed="20" length="7"/><route id="r" edges="highway"/>'
+        '<vehicle id="one" type="slow" route="r" depart="0" departPos="7000" departSpeed="15"/></routes>'
+    )
+    world = with_demand("highway3", routes)
+    driven, listed = trips(world, 1.0, driver("keep", world), tmp_path, until_s=120.0)
+    assert driven.driven == {"one"}
+    assert float(listed["one"].get("arrival")) > 0.0
+    assert listed["one"].get("vType") == "slow"
+    assert driven.inserted["one"].length_m == 7.0
+
+
+def test_a_route_too_short_for_a_host_is_left_to_sumo_and_told(tmp_path):
+    routes = tmp_path / "late.rou.xml"
+    routes.write_text(
+        '<routes><route id="r" edges="highway"/><vehicle id="late" route="r" depart="0" departPos="8150"/></routes>'
+    )
+    world = with_demand("highway3", routes)
+    driven = Fleet(world, 1.0, SEED, driver("keep", world))
+    driven.drive(20.0)
+    assert driven.driven == set()
+    assert "use a longer course" in driven.undriven["late"]
+
+
+def test_without_a_demand_there_is_nobody_to_drive():
+    with pytest.raises(InputError, match="a share is of the cars of a demand, and there is none; name its files"):
+        Fleet(config_file.validate({}), 0.5, SEED, "nothing").drive(10.0)
