@@ -118,8 +118,8 @@ class Sweep:
                 driven.append(rows)
                 self.observer.advance({})
         table = report.typed(pd.concat(driven, ignore_index=True), TRAFFIC_COLUMNS)
-        if not table.loc[table["share"] > 0, "n_vehicles"].sum():
-            raise InputError("no car of the demand was on the road in the period; change traffic.begin_s or --duration")
+        if not table.loc[table["vehicles"] == traffic.DRIVEN, "n_vehicles"].any():
+            raise InputError("no car of the share was on the road in the period; change traffic.begin_s or --duration")
         tables = Tables(table, summarised(table), compared(table), warm_up_s)
         report.write(self.out, traffic=table, summary=tables.summary, differences=tables.differences, overwrite=True)
         with whole_file(self.out / "sweep.md") as partial:
@@ -417,7 +417,7 @@ def shown(sweep: Sweep, tables: Tables) -> Table:
     headings, rows = _told(sweep, tables)
     told = Table(box=SIMPLE_HEAD, caption=_caption(sweep, tables))
     for number, heading in enumerate(headings):
-        told.add_column(heading, justify="right" if number else "left", overflow="fold")
+        told.add_column(heading, justify="right" if number else "left", no_wrap=not number)
     for cells in rows:
         told.add_row(*(escape(cell).replace(" (", "\n(") for cell in cells))
     return told

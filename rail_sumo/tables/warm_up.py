@@ -21,15 +21,15 @@ def found_s(counts: Sequence[float]) -> tuple[int, bool]:
     Source: the rule of FHWA's Traffic Analysis Toolbox, volume III: initialization is over once the number of vehicles
     in the network has stopped growing.
     """
-    counts = np.asarray(counts, dtype=np.float64)
-    half = len(counts) // 2
-    settled = counts[half:]
+    numbers = np.asarray(counts, dtype=np.float64)
+    half = len(numbers) // 2
+    settled = numbers[half:]
     if len(settled) < 2 * BATCH_S:
         return half, False
     before, after = settled[: len(settled) // 2].mean(), settled[len(settled) // 2 :].mean()
     if after > GROWS * before:
         return half, False
     for end in range(BATCH_S, half, BATCH_S):
-        if counts[end - BATCH_S : end].mean() >= ENOUGH * settled.mean():
+        if numbers[end - BATCH_S : end].mean() >= ENOUGH * settled.mean():
             return end, True
     return half, True

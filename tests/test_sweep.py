@@ -1,0 +1,234 @@
+"""Sweeps over shares and keys: what they write, go on with and refuse."""
+
+import json
+import math
+
+import numpy as np
+import pandas as pd
+import pytest
+
+from rail_sumo import cli, config_file
+from rail_sumo.errors import InputError
+from rail_sumo.pictures import plot
+from rail_sumo.studies import sweep
+from rail_sumo.studies.sweep import AS_THEY_ARE, Sweep, compared, summarised
+from rail_sumo.tables import report, traffic
+
+ROUTES = """<routes>
+    <vType id="car" speedFactor="normc(0.9,0.1,0.7,1.1)"/><vType id="lorry" vClass="truck" maxSpeed="22"/>
+    <route id="r" edges="highway"/>
+    <flow id="car" type="car" route="r" begin="0" end="200" period="exp(0.4)" departLane="random"/>
+    <flow id="lorry" type="lorry" route="r" begin="0" end="200" period="exp(0.1)" departLane="0" departSpeed="desired"/>
+</routes>"""
+
+
+@pytest.fixture
+def demand(tmp_path):
+    path = tmp_path / "light.rou.xml"
+    path.write_text(ROUTES)
+    return path
+
+
+@pytest.fixture
+def world(demand):
+    return config_file.validate({"network": {"file": "highway3"}, "traffic": {"routes": [str(demand)]}})
+
+
+def small(world, out, **changes):
+    given = {"drivers": ("rule", "acc"), "shares": (0.0, 0.5, 1.0), "seeds": 2, "duration_s": 10.0, "warm_up_s": 20.0}
+    return Sweep(world, out=out, **given | changes)
+
+
+TABLES = ("traffic.csv", "summary.csv", "differences.csv", "sweep.md")
+
+
+def test_one_and_two_workers_write_the_same_and_what_is_missing_is_driven_again(world, tmp_path):
+    once, twice = tmp_path / "once", tmp_path / "twice"
+    small(world, once).drive()
+    small(world, twice, workers=2).drive()
+    for name in TABLES:
+        assert (once / name).read_bytes() == (twice / name).read_bytes()
+    cells = sorted((once / "cells").iterdir())
+    assert len(cells) == 2 * (1 + 2 * 2)
+    kept = {cell: cell.stat().st_mtime_ns for cell in cells}
+    cells[0].unlink()
+    cells[1].write_bytes(b"cut off")
+    for name in TABLES:
+        (once / name).unlink()
+    small(world, once).drive()
+    for name in TABLES:
+        assert (once / name).read_bytes() == (twice / name).read_bytes()
+    driven = {cell for cell in cells if cell.stat().st_mtime_ns != kept[cell]}
+    assert driven == set(cells[:2])
+
+
+def test_what_is_there_of_another_world_or_period_is_driven_again(world, tmp_path):
+    first = small(world, tmp_path / "out", drivers=("acc",), shares=(1.0,), seeds=1).drive()
+    other = config_file.changed(world, ["network.limit_factor=0.5"])
+    again = small(other, tmp_path / "out", drivers=("acc",), shares=(1.0,), seeds=1).drive()
+    assert (again.traffic["speed_kmh"].dropna() < 0.7 * first.traffic["speed_kmh"].dropna().max()).all()
+
+
+def test_the_table_has_a_row_for_each_driver_share_seed_and_kind(world, tmp_path):
+    table = small(world, tmp_path / "out").drive().traffic
+    assert list(table.columns) == list(sweep.TRAFFIC_COLUMNS)
+    keys = table[["driver", "share", "seed", "vehicles"]]
+    assert not keys.duplicated().any()
+    assert len(table) == 2 * 3 * (3 + 2 * 2)  # seeds, kinds; as they are at every share, two drivers at two
+    of_all = table[table["vehicles"] == traffic.ALL]
+    assert of_all.groupby("seed")["inserted"].nunique().max() == 1
+    for _, one in table.groupby(["driver", "share", "seed"]):
+        by_kind = one.set_index("vehicles")
+        for count in ("n_vehicles", "vehkm", "flow_vehph"):
+            assert by_kind.loc["driven", count] + by_kind.loc["others", count] == pytest.approx(
+                by_kind.loc["all", count], abs=1e-5
+            )
+    driven = (
+        table[table["vehicles"] == traffic.DRIVEN].set_index(["driver", "share", "seed"])["n_vehicles"].sort_index()
+    )
+    assert (driven[(AS_THEY_ARE, 0.0)] == 0).all()
+    assert (driven[("rule", 0.5)] > 0).all()
+    assert (driven[("rule", 0.5)] < driven[("rule", 1.0)]).all()
+    lorries = table[(table["share"] == 1.0) & (table["vehicles"] == traffic.OTHERS)]
+    assert (lorries["n_vehicles"] > 0).all()
+    as_they_are = table[(table["driver"] == AS_THEY_ARE) & (table["vehicles"] == traffic.ALL)]
+    assert as_they_are.drop(columns="share").drop_duplicates().shape[0] == 2  # at every share the same: the placebo
+
+
+def made_up(values):
+    """A `traffic` table of two seeds in which only the speed differs: by driver, share and kind."""
+    rows = [
+        {"driver": driver, "setting": "", "share": share, "seed": seed, "vehicles": kind, "undriven": 0}
+        | dict.fromkeys(traffic.MEASURES, 1.0)
+        | {"speed_kmh": speed, "collisions": 0}
+        for (driver, share, kind), speeds in values.items()
+        for seed, speed in enumerate(speeds)
+    ]
+    return report.typed(rows, sweep.TRAFFIC_COLUMNS)
+
+
+def test_differences_are_from_the_same_vehicles_as_they_are_seed_by_seed():
+    table = made_up({
+        (AS_THEY_ARE, 0.0, "all"): (60.0, 70.0),
+        (AS_THEY_ARE, 0.5, "driven"): (50.0, 60.0),
+        ("rule", 0.5, "driven"): (55.0, 67.0),
+    })  # fmt: skip
+    told = compared(table).set_index(["driver", "share", "vehicles", "measure"])
+    assert set(told.index.get_level_values("driver")) == {"rule", AS_THEY_ARE}
+    speed = told.loc[("rule", 0.5, "driven", "speed_kmh")]
+    assert speed["difference"] == pytest.approx(6.0)
+    assert speed["difference_high"] - speed["difference"] == pytest.approx(12.706 * 1.0, abs=1e-3)
+    assert speed["relative"] == pytest.approx(61 / 55 - 1, abs=1e-6)
+    placebo = told.loc[(AS_THEY_ARE, 0.5, "driven", "speed_kmh")]
+    assert placebo["difference"] == 0.0
+
+
+def test_the_summary_says_how_many_seeds_five_percent_would_take():
+    told = summarised(made_up({("rule", 0.5, "all"): (60.0, 70.0)})).set_index("measure")
+    speed = told.loc["speed_kmh"]
+    reach = 12.7062 * 5.0  # Student's, of two: standard error 5
+    assert (speed["mean"], speed["high"]) == (65.0, pytest.approx(65.0 + reach, abs=1e-2))
+    assert speed["seeds_for_5_percent"] == math.ceil((12.7062 * math.sqrt(50.0) / (0.05 * 65.0)) ** 2)
+    assert np.isnan(told.loc["collisions", "seeds_for_5_percent"])
+
+
+def test_a_key_may_be_swept_over(world, tmp_path):
+    swept = small(
+        world, tmp_path / "out", drivers=("acc",), shares=(0.5,), seeds=1, key="traffic.scale", settings=("0.5", "1.5")
+    )
+    tables = swept.drive()
+    of_all = tables.traffic[tables.traffic["vehicles"] == traffic.ALL].set_index(["driver", "setting", "share"])
+    assert of_all.loc[("acc", "0.5", 0.5), "inserted"] < of_all.loc[("acc", "1.5", 0.5), "inserted"]
+    page = (tmp_path / "out" / "sweep.md").read_text()
+    assert "| driver | traffic.scale | share |" in page
+    assert (tmp_path / "out" / "figures" / "speed_kmh.svg").exists()
+
+
+def test_without_matplotlib_there_are_tables_and_a_word(monkeypatch, world, tmp_path):
+    monkeypatch.setattr(sweep, "find_spec", lambda name: None)
+    monkeypatch.setattr(plot, "with_bands", None)
+    said = []
+
+    class Hears:
+        def start(self, work, total, done=0): ...
+
+        def advance(self, figures): ...
+
+        def note(self, text):
+            said.append(text)
+
+    small(world, tmp_path / "out", drivers=("acc",), shares=(1.0,), seeds=1, observer=Hears()).drive()
+    assert said == ["no figures without matplotlib; install it with: pip install 'rail-sumo[plots]'"]
+    assert not (tmp_path / "out" / "figures").exists()
+
+
+@pytest.mark.parametrize(
+    ("changes", "told"),
+    [
+        ({"shares": (0.5, 1.2)}, "a share is a number from 0 to 1; got 1.2"),
+        ({"shares": (0.5, math.nan)}, "a share is a number from 0 to 1; got nan"),
+        ({"shares": (0.5, 0.5)}, "share 0.5 is given twice; leave one out"),
+        ({"shares": (0.0,)}, "give at least one share above 0; share 0 is always driven beside"),
+        ({"drivers": ("rule", "rule")}, "driver rule is given twice; leave one out"),
+        ({"drivers": ("sumo:car",)}, "driver 'sumo:car' drives one vehicle; for SUMO's own drivers take 'sumo'"),
+        ({"drivers": ("nobody",)}, "nobody"),
+        ({"seeds": 0}, "--seeds must be at least 1; got 0"),
+        ({"duration_s": 0.0}, "--duration takes seconds, at least 1; got 0"),
+        ({"warm_up_s": -1.0}, "--warm-up takes seconds from 0 up, or auto; got -1"),
+        ({"key": "traffic.scale", "settings": ("2", "2")}, "value of traffic.scale 2 is given twice; leave one out"),
+        ({"key": "traffic.scal", "settings": ("2", "3")}, "did you mean"),
+        ({"key": "traffic.scale", "settings": ("0", "3")}, "traffic.scale"),
+    ],
+)
+def test_what_cannot_be_swept_is_refused_before_anybody_drives(monkeypatch, world, tmp_path, changes, told):
+    monkeypatch.setattr(sweep, "_finish", lambda work: pytest.fail("somebody drives"))
+    with pytest.raises(InputError) as refused:
+        small(world, tmp_path / "out", **changes).drive()
+    assert told in str(refused.value)
+    assert "\n" not in str(refused.value)
+    assert not (tmp_path / "out").exists()
+
+
+def test_a_demand_without_cars_is_refused(demand, world, tmp_path):
+    demand.write_text(demand.read_text().replace('id="car" speedFactor', 'id="car" vClass="bus" speedFactor'))
+    with pytest.raises(InputError, match="no car of the share was on the road in the period"):
+        small(world, tmp_path / "out", drivers=("acc",), shares=(1.0,), seeds=1).drive()
+
+
+def test_on_the_command_line(monkeypatch, capsys, demand, tmp_path):
+    monkeypatch.chdir(tmp_path)
+    asked = ["sweep", "share", "0", "0.5", "--driver", "acc", "--network", "highway3", "--routes", str(demand)]
+    few = ["--seeds", "1", "--duration", "10", "--warm-up", "20", "--workers", "1"]
+
+    def call(*words):
+        monkeypatch.setattr("sys.argv", ["rail-sumo", *words])
+        with pytest.raises(SystemExit) as end:
+            cli.main()
+        return end.value.code, *capsys.readouterr()
+
+    code, out, _ = call(*asked, *few)
+    assert code == 0
+    assert "as they are" in out
+    assert "one seed: no interval; 10 s each, after 20 s that do not count." in " ".join(out.split())
+    assert "tables, figures and sweep.md in runs/sweep" in out
+    code, out, _ = call(*asked, *few, "--json")
+    differences = pd.DataFrame(json.loads(out))
+    assert set(differences["measure"]) == set(traffic.MEASURES)
+    for words, told in (
+        (["sweep", "share", "half", "--driver", "acc"], "shares are numbers from 0 to 1; got 'half'"),
+        (["sweep", "shares", "0.5", "--driver", "acc"], "varied is share, or a key of the configuration"),
+        (
+            ["sweep", "share", "0.5", "--driver", "acc", "--share", "0.2"],
+            "shares are what is varied; leave out --share",
+        ),
+        (
+            ["sweep", "share", "0.5", "--driver", "acc", "--warm-up", "long"],
+            "--warm-up takes seconds, or auto; got 'long'",
+        ),
+        (["sweep", "share", "0.5", "--driver", "acc"], "a share is of the cars of a demand, and there is none"),
+        (["sweep", "share", "0.5", "--driver", "acc", "--workers", "ray"], "takes a number of --workers, not ray"),
+    ):
+        code, out, error = call(*words)
+        assert (code, out) == (2, "")
+        assert told in error
+        assert error.count("\n") == 1

@@ -1,0 +1,167 @@
+"""The measures of a run: on reports that are made up, and beside SUMO's own of the same run."""
+
+import xml.etree.ElementTree as ElementTree
+
+import numpy as np
+import pandas as pd
+import pytest
+from driving import UNSEEN
+
+from rail_sumo import config_file
+from rail_sumo.highway.fleet import Fleet
+from rail_sumo.tables import traffic
+from rail_sumo.tables.traffic import Lane, Reports, Run, Wish
+
+LIMIT_MPS = 20.0
+LANES = {"a_0": Lane(1000.0, LIMIT_MPS), "a_1": Lane(1000.0, LIMIT_MPS), "b_0": Lane(500.0, LIMIT_MPS)}
+
+
+def written(folder, samples, *, trips="", changes="", collisions="", wishes=None, until_s=10.0, teleported=()):
+    """Reports as SUMO writes them; samples are (time, vehicle, speed, lane, leader's gap, leader's speed)."""
+    columns = ["time", "id", "speed", "lane", "leaderGap", "leaderSpeed"]
+    frame = pd.DataFrame(samples, columns=columns).rename(columns={"time": "timestep_time"} | {
+        name: f"vehicle_{name}" for name in columns[1:]
+    })  # fmt: skip
+    frame.to_csv(folder / "fcd.csv", sep=";", index=False)
+    for name, rows in (("trips", trips), ("changes", changes), ("collisions", collisions)):
+        (folder / f"{name}.xml").write_text(f"<all>{rows}</all>")
+    names = {name for _, name, *_ in samples}
+    wishes = {name: Wish(1.0, 50.0) for name in names} | (wishes or {})
+    return Reports(Run(folder, 0.0, until_s, wishes, LANES, tuple(teleported)))
+
+
+def drives(name, speeds, lane="a_0", *, gaps=None, leaders=None, from_s=0.0):
+    gaps, leaders = gaps or [-1.0] * len(speeds), leaders or [-1.0] * len(speeds)
+    return [
+        (from_s + 0.5 * k, name, *row)
+        for k, row in enumerate(zip(speeds, [lane] * len(speeds), gaps, leaders, strict=True))
+    ]
+
+
+def of(reports, *driven):
+    return {row.pop("vehicles"): row for row in reports.measures(set(driven))}
+
+
+def test_flow_density_and_speed_are_edies(tmp_path):
+    # 10 m/s and 20 m/s for 10 s each, on 1,000 m with two lanes: 300 m and 20 s.
+    told = of(written(tmp_path, drives("slow", [10.0] * 20) + drives("fast", [20.0] * 20, "a_1")), "fast")
+    assert told["all"]["vehkm"] == pytest.approx(0.3)
+    assert told["all"]["flow_vehph"] == pytest.approx(3600 * 300 / (1000 * 10))
+    assert told["all"]["density_vehpkm_lane"] == pytest.approx(1000 * 20 / (2000 * 10))
+    assert told["all"]["speed_kmh"] == pytest.approx(54.0)
+    assert (told["driven"]["speed_kmh"], told["others"]["speed_kmh"]) == pytest.approx((72.0, 36.0))
+    assert told["driven"]["flow_vehph"] + told["others"]["flow_vehph"] == pytest.approx(told["all"]["flow_vehph"])
+    assert [told[kind]["n_vehicles"] for kind in ("all", "driven", "others")] == [2, 1, 1]
+
+
+def test_edges_nobody_drove_on_do_not_count_and_neither_does_what_is_outside_the_period(tmp_path):
+    samples = drives("one", [10.0] * 20) + drives("late", [10.0] * 4, "b_0", from_s=10.0)
+    assert of(written(tmp_path, samples))["all"]["flow_vehph"] == pytest.approx(3600 * 100 / (1000 * 10))
+
+
+def test_a_vehicle_loses_time_to_what_it_is_meant_to_drive(tmp_path):
+    samples = drives("eager", [20.0] * 20) + drives("calm", [10.0] * 20) + drives("lorry", [20.0] * 20)
+    wishes = {"eager": Wish(1.2, 50.0), "calm": Wish(0.5, 50.0), "lorry": Wish(1.5, 25.0)}
+    told = of(written(tmp_path, samples, wishes=wishes), "calm")
+    assert told["driven"]["time_loss_s_per_km"] == 0.0
+    lost_s = 10 * (1 - 20 / 24) + 10 * (1 - 20 / 25)
+    assert told["others"]["time_loss_s_per_km"] == pytest.approx(lost_s / 0.4)
+
+
+def test_speeds_vary_about_each_vehicles_own_mean(tmp_path):
+    samples = drives("steady", [30.0] * 20) + drives("swings", [8.0, 12.0] * 10)
+    told = of(written(tmp_path, samples), "swings")
+    assert told["driven"]["speed_std_kmh"] == pytest.approx(2.0 * 3.6)
+    assert told["all"]["speed_std_kmh"] == pytest.approx(np.sqrt(2.0) * 3.6)
+
+
+@pytest.mark.parametrize(
+    ("speeds", "count"),
+    [
+        ([20.0, 18.3, 18.3], 0),  # 3.4 m/s²
+        ([20.0, 18.2, 18.2], 1),  # 3.6
+        ([20.0, 18.2, 16.4, 15.4, 13.0, 13.0], 1),  # it eases to 2, not to an end
+        ([20.0, 18.2, 18.2, 16.4], 2),
+    ],
+)
+def test_a_hard_braking_counts_once_until_it_is_over(tmp_path, speeds, count):
+    km = sum(speeds) * 0.5 / 1000
+    samples = drives("one", speeds) + drives("two", [5.0, 1.0][:1], from_s=0.0)  # who begins slowly has not braked
+    told = of(written(tmp_path, samples), "one")
+    assert told["driven"]["hard_brakings_per_vehkm"] == pytest.approx(count / km)
+    assert told["others"]["hard_brakings_per_vehkm"] == 0.0
+
+
+def test_a_conflict_counts_when_it_begins(tmp_path):
+    # Closing by 10 m/s: 1.4 s to the contact at 14 m; 3.57 m/s² to avoid it. At 16 m 1.6 s and 3.1 m/s².
+    gaps, n = [16.0, 14.0, 12.0, 16.0, 14.0, -1.0], 6
+    told = of(written(tmp_path, drives("one", [20.0] * n, gaps=gaps, leaders=[10.0] * n)))["all"]
+    assert told["ttc_below_1_5s_per_vehkm"] == pytest.approx(2 / 0.06)
+    assert told["drac_above_3_4_per_vehkm"] == pytest.approx(2 / 0.06)
+    (tmp_path / "away").mkdir()
+    away = of(written(tmp_path / "away", drives("one", [10.0] * n, gaps=[3.0] * n, leaders=[10.0] * n)))["all"]
+    assert (away["ttc_below_1_5s_per_vehkm"], away["drac_above_3_4_per_vehkm"]) == (0.0, 0.0)
+
+
+def trip(name, depart, delay, arrival, metres=1000.0, co2_mg=0.0, fuel_mg=0.0):
+    return (
+        f'<tripinfo id="{name}" depart="{depart}" departDelay="{delay}" arrival="{arrival}" routeLength="{metres}">'
+        f'<emissions CO2_abs="{co2_mg}" fuel_abs="{fuel_mg}"/></tripinfo>'
+    )
+
+
+def test_who_comes_goes_and_waits(tmp_path):
+    trips = (
+        trip("gone", 1.0, 0.5, 9.0, 2000.0, 300_000.0, 148_400.0)
+        + trip("here", 4.0, 1.5, -1.0, 1000.0, 150_000.0, 74_200.0)
+        + trip("outside", -1, 4.0, -1.0, 0.0)
+    )
+    told = of(written(tmp_path, drives("gone", [10.0]) + drives("here", [10.0]), trips=trips), "gone")
+    counts = ("inserted", "arrived", "unfinished", "waiting")
+    assert [told["all"][name] for name in counts] == [2, 1, 1, 1]
+    assert [told["driven"][name] for name in counts] == [1, 1, 0, 0]
+    assert told["all"]["depart_delay_s"] == pytest.approx((0.5 + 1.5 + 4.0) / 3)
+    assert told["all"]["co2_g_per_vehkm"] == pytest.approx(450 / 3)
+    assert told["all"]["fuel_ml_per_vehkm"] == pytest.approx(222.6 / 0.742 / 3)
+
+
+def test_contacts_lane_changes_and_teleports_belong_to_who_takes_part(tmp_path):
+    told = of(
+        written(
+            tmp_path,
+            drives("one", [10.0] * 20) + drives("two", [10.0] * 20),
+            changes='<change id="one" time="1"/><change id="one" time="2"/><change id="two" time="20"/>',
+            collisions='<collision time="1" collider="two" victim="one"/>',
+            teleported=[(3.0, "two"), (11.0, "two")],
+        ),
+        "one",
+    )
+    assert [told[kind]["collisions"] for kind in ("all", "driven", "others")] == [1, 1, 1]
+    assert [told[kind]["teleports"] for kind in ("all", "driven", "others")] == [1, 0, 1]
+    assert told["driven"]["lane_changes_per_vehkm"] == pytest.approx(20.0)
+    assert told["others"]["lane_changes_per_vehkm"] == 0.0
+
+
+@pytest.mark.parametrize("network", ["highway3", "onramp"])
+def test_flow_density_time_loss_and_counts_are_those_of_sumos_own_outputs(tmp_path, network):
+    edges = tmp_path / "edges.xml"
+    world = config_file.validate({"network": {"file": network}, "traffic": {"routes": [network]}})
+    driven = Fleet(world, 0.0, UNSEEN, "nothing", (*traffic.options(tmp_path), "--edgedata-output", str(edges)))
+    driven.drive(240.0)
+    wishes = {name: Wish(car.speed_factor, car.fastest_mps) for name, car in driven.inserted.items()}
+    lanes = {name: Lane(*lane) for name, lane in driven.lanes.items()}
+    ours = of(Reports(Run(tmp_path, 0.0, 240.0, wishes, lanes)))["all"]
+    theirs = [edge.attrib for edge in ElementTree.parse(edges).getroot().iter("edge")]
+    driven_s = sum(float(edge["sampledSeconds"]) for edge in theirs)
+    driven_m = sum(float(edge["sampledSeconds"]) * float(edge["speed"]) for edge in theirs if "speed" in edge)
+    lost_s = sum(float(edge["timeLoss"]) for edge in theirs)
+    changes = sum(int(edge["laneChangedFrom"]) for edge in theirs)
+    arrived = sum(int(edge["arrived"]) for edge in theirs)
+    inserted = sum(int(edge["departed"]) for edge in theirs)
+    assert ours["vehkm"] == pytest.approx(driven_m / 1000, rel=0.01)
+    assert ours["speed_kmh"] == pytest.approx(3.6 * driven_m / driven_s, rel=0.005)
+    assert ours["time_loss_s_per_km"] * ours["vehkm"] == pytest.approx(lost_s, rel=0.05)
+    from_edges = [change.get("from") for change in ElementTree.parse(tmp_path / "changes.xml").getroot()]
+    assert ours["lane_changes_per_vehkm"] * ours["vehkm"] == pytest.approx(len(from_edges))
+    assert sum(not lane.startswith(":") for lane in from_edges) == changes
+    assert (ours["arrived"], ours["inserted"]) == (arrived, inserted)
