@@ -3,6 +3,7 @@
 import math
 from collections import deque
 from collections.abc import Callable, Iterable, Sequence
+from contextlib import suppress
 from dataclasses import dataclass
 
 import libsumo
@@ -512,10 +513,10 @@ class Host:
 
     def _note_behind(self) -> None:
         """Record the speeds of the watched vehicles that are still on the road."""
-        on_road = libsumo.vehicle.getIDList()
         for watched in self._behind:
-            if watched.until >= len(self.speeds_mps) and watched.name in on_road:
-                watched.speeds_mps.append(libsumo.vehicle.getSpeed(watched.name))
+            if watched.until >= len(self.speeds_mps):
+                with suppress(libsumo.TraCIException):  # it has left
+                    watched.speeds_mps.append(libsumo.vehicle.getSpeed(watched.name))
 
     def _note_lane(self) -> None:
         """Notice when SUMO's own driver has changed lanes."""
