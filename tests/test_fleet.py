@@ -227,3 +227,23 @@ def test_a_route_too_short_for_a_host_is_left_to_sumo_and_told(tmp_path):
 def test_without_a_demand_there_is_nobody_to_drive():
     with pytest.raises(InputError, match="a share is of the cars of a demand, and there is none; name its files"):
         Fleet(config_file.validate({}), 0.5, SEED, "nothing").drive(10.0)
+
+
+@pytest.mark.parametrize("network", ["onramp", "arterial"])
+def test_who_is_near_is_the_same_whether_one_looks_or_many(monkeypatch, network):
+    world, compared = with_demand(network), []
+    step = Simulation.step
+
+    def watched(simulation):
+        gone = step(simulation)
+        for host in simulation.hosts[len(compared) % 3 :: 3]:
+            here, reach_m = libsumo.vehicle.getPosition3D(host.name), 105.0
+            one = sorted(simulation._near(host.name, here, reach_m))
+            assert one == sorted(simulation._near_of_all(host.name, here, reach_m))
+            compared.append(len(one))
+        return gone
+
+    monkeypatch.setattr(Simulation, "step", watched)
+    Fleet(world, 0.5, SEED, driver("keep", world)).drive(120.0)
+    assert len(compared) > 1000
+    assert np.mean(compared) > 2

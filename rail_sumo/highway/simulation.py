@@ -3,7 +3,9 @@
 import math
 import os
 from collections.abc import Iterator, Sequence
+from contextlib import suppress
 from dataclasses import dataclass
+from itertools import chain
 from pathlib import Path
 from statistics import fmean
 from typing import NamedTuple
@@ -62,6 +64,8 @@ NEAR_ENTRY_M = 100.0
 """The host enters as fast as the vehicles drive that are within this distance of its entry."""
 CARS = frozenset({"passenger", "private", "taxi", "evehicle", "hov", "vip", "custom1", "custom2", "ignoring"})
 """SUMO's vehicle classes of what drives as a car does."""
+SEEN_FOR_S, FASTEST_MPS = 0.95, 70.0
+"""Where several look around, all vehicles are read so often; nobody drives faster."""
 STOREY_M = 3.0
 """Vehicles farther above or below drive on another road, as on a bridge."""
 
@@ -143,8 +147,9 @@ class Simulation:
     ) -> None:
         self._sizes: dict[str, tuple[float, float]] = {}
         self._sees: dict[str, _Sees] = {}
-        self._all: tuple[Sequence[str], Floats] = ((), np.empty((3, 0)))
-        self._all_at_s = -math.inf
+        self._seen: tuple[Sequence[str], Floats] = ((), np.empty((3, 0)))  # where all were, in columns, ...
+        self._seen_at_s = -math.inf  # ... and when
+        self._unseen: list[str] = []  # who has come on the road since
         self._taken_over: dict[str, Inserted] = {}
         self._routes: dict[tuple[str, ...], str] = {}
         self._held: dict[str, _Held] = {}  # vehicles kept from changing lanes, by their id
@@ -433,18 +438,23 @@ class Simulation:
                 yield name, x, y
 
     def _near_of_all(self, ego: str, here: Place, reach_m: float) -> Iterator[tuple[str, float, float]]:
-        """Yield the same, from where all vehicles are: read once a step, whoever looks."""
-        now_s = libsumo.simulation.getTime()
-        if self._all_at_s != now_s:
+        """Yield the same where several look: only who was near enough a moment ago is asked where it is."""
+        now_s, position = libsumo.simulation.getTime(), libsumo.vehicle.getPosition3D
+        if now_s - self._seen_at_s > SEEN_FOR_S:
             names = libsumo.vehicle.getIDList()
-            places = np.array([libsumo.vehicle.getPosition3D(name) for name in names])
-            self._all, self._all_at_s = (names, places.T.copy()), now_s
-        names, (x, y, z) = self._all
-        is_near = (np.abs(x - here[0]) < reach_m) & (np.abs(y - here[1]) < reach_m) & (np.abs(z - here[2]) < STOREY_M)
-        rows = is_near.nonzero()[0]
-        for row, east, north in zip(rows.tolist(), x[rows].tolist(), y[rows].tolist(), strict=True):
-            if names[row] != ego:
-                yield names[row], east, north
+            places = chain.from_iterable(map(position, names))
+            self._seen = names, np.fromiter(places, np.float64, 3 * len(names)).reshape(-1, 3).T.copy()
+            self._seen_at_s, self._unseen = now_s, []
+        names, (x, y, _) = self._seen
+        within_m = reach_m + 2 * FASTEST_MPS * (now_s - self._seen_at_s)
+        was_near = (np.abs(x - here[0]) < within_m) & (np.abs(y - here[1]) < within_m)
+        near_then = (names[row] for row in was_near.nonzero()[0].tolist())
+        for name in dict.fromkeys((*near_then, *self._unseen)):
+            with suppress(libsumo.TraCIException):  # it has left
+                east, north, up = position(name)
+                is_near = abs(east - here[0]) < reach_m and abs(north - here[1]) < reach_m
+                if is_near and name != ego and abs(up - here[2]) < STOREY_M:
+                    yield name, east, north
 
     def _size(self, name: str) -> tuple[float, float]:
         self._sizes[name] = (libsumo.vehicle.getLength(name), libsumo.vehicle.getWidth(name))
@@ -484,6 +494,7 @@ class Simulation:
         for host in self.hosts:
             host.drive()
         libsumo.simulation.step()
+        self._unseen += (*libsumo.simulation.getDepartedIDList(), *libsumo.simulation.getEndingTeleportIDList())
         gone = {*libsumo.simulation.getArrivedIDList(), *self.teleporting()}
         left = [host for host in self.hosts if host.name in gone]
         for host in left:
@@ -518,12 +529,11 @@ class Simulation:
             self._held[name].by.add(host.name)
 
     def _release(self, host: Host) -> None:
-        on_road = self.on_road()
         for name, held in sorted(self._held.items()):
             held.by.discard(host.name)
             if not held.by:
                 del self._held[name]
-                if name in on_road:
+                with suppress(libsumo.TraCIException):  # it has left
                     libsumo.vehicle.setLaneChangeMode(name, held.mode)
 
     @property
