@@ -15,6 +15,10 @@ class ObservationError(InputError):
     """A driver is to drive on another observation than it was trained on."""
 
 
+class CourseError(InputError):
+    """A way that a host could not drive."""
+
+
 class NotBegun(InputError):
     """An episode could not begin."""
 

@@ -6,7 +6,7 @@ import math
 import numpy as np
 
 from rail_sumo.config import Config
-from rail_sumo.errors import InputError
+from rail_sumo.errors import CourseError, InputError
 from rail_sumo.highway.network import road
 from rail_sumo.highway.network.demand import Demand
 from rail_sumo.highway.simulation import Inserted, Simulation
@@ -52,7 +52,7 @@ def take_over(simulation: Simulation, config: Config, demand: Demand, rng: np.ra
                 continue
             try:
                 stretch = stretch_of(car, config)
-            except InputError:  # too short, or not on lanes that the host may use
+            except CourseError:  # too short, or not on lanes that the host may use
                 if by_name:
                     raise
                 continue
@@ -70,12 +70,13 @@ def stretch_of(car: Inserted, config: Config) -> Stretch:
     """Return the stretch along a vehicle's route, as far as it comes over no edge again.
 
     Raises:
-        InputError: it could not be driven, or does not lead along `network.course`.
+        CourseError: it could not be driven, or does not lead along `network.course`.
+        InputError: the network cannot be read.
     """
     edges = car.edges[: next((k for k, edge in enumerate(car.edges) if edge in car.edges[:k]), len(car.edges))]
     wanted = config.network.course
     if wanted and not any(edges[k : k + len(wanted)] == wanted for k in range(len(edges))):
-        raise InputError(f"vehicle '{car.name}' does not drive along network.course; name another")
+        raise CourseError(f"vehicle '{car.name}' does not drive along network.course; name another")
     course = road.load(config.network.file, edges, vclass=car.vclass, limit_factor=config.network.limit_factor)
     return Stretch.along(course, config, car.front_m)
 

@@ -8,7 +8,7 @@ from typing import Literal
 
 from rail_sumo import assets
 from rail_sumo.config import Config
-from rail_sumo.errors import InputError
+from rail_sumo.errors import CourseError, InputError
 from rail_sumo.highway import entry, sumo_process
 from rail_sumo.highway.agent import Agent
 from rail_sumo.highway.network import demand, road
@@ -134,7 +134,7 @@ class Fleet:
             return
         try:
             stretch = entry.stretch_of(car, self._world)
-        except InputError as error:  # too short, or not on lanes that a host may use
+        except CourseError as error:  # too short, or not on lanes that a host may use
             self.undriven[car.name] = str(error)
             return
         host = simulation.lay_course(stretch.road, self.world.adas, sees_m=stretch.sees_m, host=car.name)

@@ -4,7 +4,7 @@ import math
 from dataclasses import dataclass
 
 from rail_sumo.config import Adas, Config
-from rail_sumo.errors import InputError
+from rail_sumo.errors import CourseError
 from rail_sumo.highway.network.road import Road
 from rail_sumo.highway.passing import NEAR_M
 from rail_sumo.highway.placing import VEHICLE_M
@@ -39,7 +39,7 @@ class Stretch:
         """Return the stretch of a course that begins at a place on it.
 
         Raises:
-            InputError: the course is too short from there, or has limits with which nobody can drive.
+            CourseError: the course is too short from there, or has limits with which nobody can drive.
         """
         fastest_mps = _fastest_mps(road, config.adas)
         closes_m = config.episode.decision_period_s * fastest_mps
@@ -48,7 +48,7 @@ class Stretch:
         sees_m = max(config.lidar.max_range_m, near_m) + VEHICLE_M
         found = cls(road, start_m, fastest_mps, overrun_m, near_m, sees_m, farthest_m)
         if found.drivable_m <= 0.0:
-            raise InputError(
+            raise CourseError(
                 f"network '{road.name}': the course is {road.length_m:.0f} m long, and the host needs {start_m:.0f} m "
                 f"of it behind its start and {overrun_m:.0f} m to spare at the end; use a longer course"
             )
@@ -59,7 +59,7 @@ class Stretch:
         """Return the stretch on which a window of traffic has room behind the host; on a short road it has less.
 
         Raises:
-            InputError: as in `along`.
+            CourseError: as in `along`.
         """
         whole_m = config.traffic.behind_m + MARGIN_M
         return cls.along(road, config, whole_m if road.is_loop else min(whole_m, SHORT_START * road.length_m))
@@ -74,18 +74,18 @@ def _fastest_mps(course: Road, adas: Adas) -> float:
     """Return the host's highest set speed on its course.
 
     Raises:
-        InputError: a limit, or a range of set speeds, with which nobody can drive.
+        CourseError: a limit, or a range of set speeds, with which nobody can drive.
     """
     for edge in course.edges:
         if edge.limit_mps <= 0.0:
-            raise InputError(
+            raise CourseError(
                 f"network '{course.name}': edge '{edge.id}' has a speed limit of {edge.limit_mps * KMH:.0f} km/h; "
                 f"correct the network, or lead network.course around it"
             )
     limit_mps = course.highest_limit_mps
     lowest_mps, highest_mps = adas.lowest_mps(limit_mps), adas.highest_mps(limit_mps)
     if lowest_mps >= highest_mps:
-        raise InputError(
+        raise CourseError(
             f"network '{course.name}': the lowest set speed, {lowest_mps * KMH:.0f} km/h (adas.min_speed_kmh = "
             f"{adas.min_speed_kmh}), is not below the highest, {highest_mps * KMH:.0f} km/h (adas.max_speed_kmh = "
             f"{adas.max_speed_kmh}), where the limit is {limit_mps * KMH:.0f} km/h; lower the one or raise the other"

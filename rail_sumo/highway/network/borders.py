@@ -4,7 +4,7 @@ from typing import Any
 
 import numpy as np
 
-from rail_sumo.errors import InputError
+from rail_sumo.errors import CourseError
 from rail_sumo.highway.network.course import Way
 from rail_sumo.highway.network.lanes import within
 from rail_sumo.records import Floats
@@ -22,7 +22,7 @@ def borders(net: Any, way: Way, *, mirrored: bool) -> Floats:
         mirrored: whether all is told in the mirror; see `road.Road.is_left_hand`.
 
     Raises:
-        InputError: a lane without a shape.
+        CourseError: a lane without a shape.
     """
     found = np.concatenate([_border(net, way, side, mirrored=mirrored) for side in ("right", "left")])
     found.setflags(write=False)
@@ -38,7 +38,7 @@ def _border(net: Any, way: Way, side: str, *, mirrored: bool) -> Floats:
         for lane in (lanes[outermost], *inside):
             shape = np.array(lane.getShape(), dtype=np.float64)
             if not len(shape):
-                raise InputError(f"network: lane '{lane.getID()}' has no shape; build the network anew by netconvert")
+                raise CourseError(f"network: lane '{lane.getID()}' has no shape; build the network anew by netconvert")
             if len(_distinct(shape)) == 1 and lane.getID().startswith(":"):
                 continue  # without extent it has no side: its point is in the middle of the lane, not at its border
             if mirrored:

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 from functools import cached_property
 from typing import Any
 
-from rail_sumo.errors import InputError, did_you_mean
+from rail_sumo.errors import CourseError, did_you_mean
 
 TURNS_BACK = ("t", "T")
 """Directions of connections that lead back, on roads driven on the right and on the left."""
@@ -63,12 +63,12 @@ def along(net: Any, name: str, wanted: tuple[str, ...], vclass: str = CAR) -> Wa
         vclass: SUMO's class of the vehicle that is to drive there.
 
     Raises:
-        InputError: no such edge, no such way, or a way that is closed to the class or leads twice over one edge.
+        CourseError: no such edge, no such way, or a way that is closed to the class or leads twice over one edge.
     """
     for edge_id in wanted:
         if not net.hasEdge(edge_id):
             ids = [edge.getID() for edge in net.getEdges(withInternal=False)]
-            raise InputError(
+            raise CourseError(
                 f"network '{name}' has no edge '{edge_id}', which network.course names{did_you_mean(edge_id, ids)}"
             )
     first, *others = map(net.getEdge, wanted)
@@ -80,12 +80,12 @@ def along(net: Any, name: str, wanted: tuple[str, ...], vclass: str = CAR) -> Wa
         edges.pop()
     for edge in edges:
         if not open_lanes(edge, vclass):
-            raise InputError(
+            raise CourseError(
                 f"network '{name}': the course runs over edge '{edge.getID()}', which is closed to {_all(vclass)}; "
                 f"lead network.course around it"
             )
         if edges.count(edge) > 1:
-            raise InputError(
+            raise CourseError(
                 f"network '{name}': the course runs twice over edge '{edge.getID()}'; lead network.course so that it "
                 f"does not, or name the first edge again at its end to go round"
             )
@@ -100,13 +100,13 @@ def _between(here: Any, ahead: Any, net: Any, name: str, vclass: str) -> tuple[A
     # The edges after `here`, up to and with `ahead`.
     way = _shortest(here, ahead, net, vclass)
     if way is None:
-        raise InputError(
+        raise CourseError(
             f"network '{name}': no way for {_all(vclass)} leads from edge '{here.getID()}' to edge "
             f"'{ahead.getID()}'; name the edges of network.course in driving order"
         )
     for one, other in itertools.pairwise(way):
         if not connections(one, other, vclass):
-            raise InputError(
+            raise CourseError(
                 f"network '{name}': none of the lanes that the host may use, the widest group open to {_all(vclass)}, "
                 f"leads from edge '{one.getID()}' on to edge '{other.getID()}'; lead network.course around them"
             )
@@ -133,11 +133,11 @@ def longest(net: Any, name: str) -> Way:
     network alone.
 
     Raises:
-        InputError: nowhere may cars drive.
+        CourseError: nowhere may cars drive.
     """
     drivable = {edge for edge in net.getEdges(withInternal=False) if open_lanes(edge, CAR)}
     if not drivable:
-        raise InputError(f"network '{name}' has no edge that is open to cars; rail-sumo drives a passenger car")
+        raise CourseError(f"network '{name}' has no edge that is open to cars; rail-sumo drives a passenger car")
     return Way(*min(_chains({edge: _next(edge, drivable) for edge in drivable}), key=_rank))
 
 
