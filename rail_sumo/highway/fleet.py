@@ -137,7 +137,9 @@ class Fleet:
         except CourseError as error:  # too short, or not on lanes that a host may use
             self.undriven[car.name] = str(error)
             return
-        host = simulation.lay_course(stretch.road, self.world.adas, sees_m=stretch.sees_m, host=car.name)
+        host = simulation.lay_course(
+            stretch.road, self.world.adas, sees_m=stretch.sees_m, host=car.name, shares_type=True
+        )
         simulation.take_over(car)
         agent = Agent(
             host,

@@ -76,6 +76,7 @@ class Host:
         look_around: returns who is around it.
         name: the id of its vehicle.
         claims: returns the other driven vehicles that are about to move into a lane, each with that lane.
+        shares_type: whether others are of its vehicle type too.
     """
 
     def __init__(
@@ -85,8 +86,11 @@ class Host:
         look_around: Callable[[], Scene],
         name: str = HOST,
         claims: Callable[[str], Iterable[tuple[str, str]]] = lambda name: (),
+        *,
+        shares_type: bool = False,
     ) -> None:
         self.name = name
+        self._shares_type = shares_type
         self._look_around = look_around
         self._claims = claims
         self._adas = adas
@@ -153,15 +157,21 @@ class Host:
 
     def become(self, vclass: str, *, length_m: float, width_m: float, speed_mps: float) -> None:
         """Be of the class and size of a vehicle that drives already, so fast."""
-        vehicle = libsumo.vehicle
-        vehicle.setVehicleClass(self.name, vclass)  # or lanes for its class alone would be closed to it
-        vehicle.setLength(self.name, length_m)
-        vehicle.setWidth(self.name, width_m)
-        vehicle.setMaxSpeed(self.name, max(self.fastest_mps, speed_mps))  # or SUMO would brake it hard
+        self._set("VehicleClass", vclass)  # or lanes for its class alone would be closed to it
+        self._set("Length", length_m)
+        self._set("Width", width_m)
+        self._set("MaxSpeed", max(self.fastest_mps, speed_mps))  # or SUMO would brake it hard
+
+    def _set(self, what: str, value: str | float) -> None:
+        """Set a property of its vehicle type; of its own, which SUMO then gives a name of its own, if it shares it."""
+        if self._shares_type:
+            getattr(libsumo.vehicle, f"set{what}")(self.name, value)
+        else:
+            getattr(libsumo.vehicletype, f"set{what}")(HOST_TYPE, value)
 
     def hold_below(self, speed_mps: float) -> None:
         """Let the host drive no faster than this, whatever is commanded."""
-        libsumo.vehicle.setMaxSpeed(self.name, speed_mps)
+        self._set("MaxSpeed", speed_mps)
 
     def begin(self) -> None:
         """Note the speed at which the host has entered, and who is ahead."""
@@ -427,7 +437,7 @@ class Host:
         is_gentle = is_slow and any(way.ahead_m < LINE_NEAR_M for way in self._give_ways())
         if is_gentle != self._is_gentle:
             hardest = self._adas.emergency_braking_mps2
-            libsumo.vehicle.setDecel(self.name, min(GENTLE_MPS2, hardest) if is_gentle else hardest)
+            self._set("Decel", min(GENTLE_MPS2, hardest) if is_gentle else hardest)
             self._is_gentle = is_gentle
 
     @property

@@ -200,7 +200,9 @@ class Simulation:
                 for report in folder.glob(f"{self._prefix}*"):
                     report.unlink(missing_ok=True)
 
-    def lay_course(self, road: Road, adas: config.Adas, *, sees_m: float, host: str = HOST) -> Host:
+    def lay_course(
+        self, road: Road, adas: config.Adas, *, sees_m: float, host: str = HOST, shares_type: bool = False
+    ) -> Host:
         """Tell where a host will drive: one more beside those that are driven already.
 
         Args:
@@ -208,8 +210,9 @@ class Simulation:
             adas: limits of its car-following (ACC and AEB).
             sees_m: how far from it, along either axis, a `Scene` shows vehicles.
             host: the id of its vehicle.
+            shares_type: whether there will be several.
         """
-        self.host = Host(road, adas, lambda: self.scene(added), host, self._claims)
+        self.host = Host(road, adas, lambda: self.scene(added), host, self._claims, shares_type=shares_type)
         added = self.host
         self._sees[host] = _Sees(sees_m, is_left_hand=road.is_left_hand)
         self._edges = road.edge_of
