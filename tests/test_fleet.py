@@ -5,6 +5,7 @@ import xml.etree.ElementTree as ElementTree
 
 import libsumo
 import numpy as np
+import pandas as pd
 import pytest
 from driving import KEEP, LEFT, RIGHT, UNSEEN
 from hypothesis import given
@@ -247,3 +248,110 @@ def test_who_is_near_is_the_same_whether_one_looks_or_many(monkeypatch, network)
     Fleet(world, 0.5, SEED, driver("keep", world)).drive(120.0)
     assert len(compared) > 1000
     assert np.mean(compared) > 2
+
+
+# Demands of every kind.
+
+
+def one_road(tmp_path, *elements, types='<vType id="car"/>'):
+    routes = tmp_path / "own.rou.xml"
+    routes.write_text(f'<routes>{types}<route id="r" edges="highway"/>{"".join(elements)}</routes>')
+    return with_demand("highway3", routes)
+
+
+def test_a_driven_car_pollutes_as_the_one_that_it_is(tmp_path):
+    world = one_road(
+        tmp_path,
+        '<vehicle id="one" type="clean" route="r" depart="0" departSpeed="20"/>',
+        types='<vType id="clean" emissionClass="Zero"/>',
+    )
+    told = []
+
+    def decide(observation, agent):
+        told.append(libsumo.vehicle.getEmissionClass("one"))
+        return KEEP
+
+    Fleet(world, 1.0, SEED, lambda vehicle: decide).drive(5.0)
+    assert {one.partition("/")[0] for one in told} == {"Zero"}
+    options = ("--tripinfo-output", str(tmp_path / "t.xml"), "--tripinfo-output.write-unfinished", "true")
+    Fleet(world, 1.0, SEED, "acc", (*options, "--device.emissions.probability", "1")).drive(20.0)
+    (emissions,) = ElementTree.parse(tmp_path / "t.xml").getroot().iter("emissions")
+    assert float(emissions.get("CO2_abs")) == 0.0
+
+
+def test_a_car_that_parks_on_its_way_goes_on_by_itself(tmp_path):
+    world = one_road(
+        tmp_path,
+        '<vehicle id="one" type="car" route="r" depart="0" departSpeed="10">'
+        '<stop lane="highway_0" endPos="400" duration="10" parking="true"/></vehicle>',
+    )
+    driven, listed = trips(world, 1.0, driver("keep", world), tmp_path, until_s=60.0)
+    assert driven.driven == {"one"}
+    assert driven.decisions > 10
+    assert float(listed["one"].get("stopTime")) > 9.0
+
+
+def test_a_car_that_departs_later_on_its_route_is_driven_from_there(tmp_path):
+    network, routes = tmp_path / "two.net.xml", tmp_path / "own.rou.xml"
+    network.write_text(cut_road(500.0, 3000.0))
+    routes.write_text(
+        '<routes><route id="r" edges="part0 part1"/><vehicle id="one" route="r" depart="0" departEdge="1"/></routes>'
+    )
+    driven = Fleet(with_demand(network, routes), 1.0, SEED, driver("keep", {}))
+    driven.drive(10.0)
+    assert driven.driven == {"one"}
+    assert driven.inserted["one"].edges == ("part1",)
+
+
+def test_handed_back_a_car_does_not_brake_for_what_it_would_have_driven(tmp_path):
+    slow = '<vType id="slow" maxSpeed="12" speedFactor="1"/>'
+    world = one_road(
+        tmp_path, '<vehicle id="one" type="slow" route="r" depart="0" departPos="7000" departSpeed="max"/>', types=slow
+    )
+    file = tmp_path / "f.csv"
+    Fleet(world, 1.0, SEED, driver("keep", world), ("--fcd-output", str(file))).drive(80.0)
+    speeds = pd.read_csv(file, sep=";")["vehicle_speed"].dropna().to_numpy()
+    assert speeds.max() > 15.0
+    assert np.diff(speeds).min() > -0.31
+
+
+def test_a_lane_change_model_that_cannot_be_asked_with_is_left_alone(tmp_path):
+    routes = tmp_path / "own.rou.xml"
+    routes.write_text(
+        '<routes><vType id="car" laneChangeModel="DK2008" sigma="0"/><route id="main" edges="main1 merge1 main2"/>'
+        '<route id="ramp" edges="on1 merge1 main2"/>'
+        '<flow id="main" type="car" route="main" begin="0" end="90" period="1.8" departLane="0" departSpeed="max"/>'
+        '<flow id="ramp" type="car" route="ramp" begin="0" end="90" period="20" departSpeed="max"/></routes>'
+    )
+    world = with_demand("onramp", routes)
+    driven = Fleet(world, 0.5, SEED, driver("keep", world))
+    driven.drive(90.0)
+    assert driven.contacts == 0
+    assert any(name.startswith("ramp") for name in driven.driven)
+
+
+def test_a_car_that_is_led_elsewhere_is_handed_back_and_arrives(tmp_path):
+    """Rerouted by a device of the demand's, it leaves its course."""
+    grid = tmp_path / "own.add.xml"
+    grid.write_text(
+        '<additional><rerouter id="elsewhere" edges="main1"><interval begin="0" end="1000">'
+        '<destProbReroute id="off" probability="1"/></interval></rerouter></additional>'
+    )
+    routes = tmp_path / "own.rou.xml"
+    routes.write_text(
+        '<routes><vType id="car" sigma="0"/><route id="through" edges="main1 merge1 main2 diverge main3"/>'
+        '<vehicle id="one" type="car" route="through" depart="0" departLane="1" departSpeed="max"/></routes>'
+    )
+    world = config_file.validate(
+        {"network": {"file": "onramp"}, "traffic": {"routes": [str(routes)], "additional": [str(grid)]}}
+    )
+    driven, listed = trips(world, 1.0, driver("keep", world), tmp_path, until_s=200.0)
+    assert driven.driven == {"one"}
+    assert float(listed["one"].get("arrival")) > 0.0
+    assert listed["one"].get("arrivalLane") == "off_0"
+
+
+def test_worlds_that_vary_have_no_share():
+    world = config_file.validate({"varied": {"networks": ["highway3"]}, "traffic": {"routes": ["highway3"]}})
+    with pytest.raises(InputError, match=r"leave out varied\.networks"):
+        Fleet(world, 0.5, SEED, "nothing").drive(10.0)

@@ -162,9 +162,58 @@ def test_without_matplotlib_there_are_tables_and_a_word(monkeypatch, world, tmp_
     assert not (tmp_path / "out" / "figures").exists()
 
 
+def test_ids_that_look_like_numbers_are_ids_and_who_waits_is_driven_too(tmp_path):
+    routes = tmp_path / "numbers.rou.xml"
+    routes.write_text(
+        '<routes><route id="r" edges="highway"/>'
+        '<flow id="1" route="r" begin="0" end="60" period="0.5" departLane="0"/></routes>'
+    )
+    world = config_file.validate({"network": {"file": "highway3"}, "traffic": {"routes": [str(routes)]}})
+    table = small(world, tmp_path / "out", drivers=("acc",), shares=(1.0,), seeds=1).drive().traffic
+    driven, others = (
+        table[(table["driver"] == "acc") & (table["vehicles"] == kind)].iloc[0] for kind in ("driven", "others")
+    )
+    assert (driven["n_vehicles"] > 10, others["n_vehicles"]) == (True, 0)
+    assert (driven["waiting"] > 10, others["waiting"]) == (True, 0)
+
+
+def test_cars_that_no_host_could_drive_are_an_error_and_not_no_difference(world, tmp_path):
+    swept = small(
+        world, tmp_path / "out", drivers=("keep",), shares=(1.0,), seeds=1, key="adas.max_speed_kmh", settings=("8",)
+    )
+    with pytest.raises(
+        InputError, match=r"driver 'keep' could drive none of \d+ cars: network 'highway3': the lowest set"
+    ):
+        swept.drive()
+
+
+def test_demand_before_or_after_the_period_is_told(world, demand, tmp_path):
+    late = config_file.changed(world, ["traffic.begin_s=300"])
+    with pytest.raises(InputError, match="no car of the share was on the road in the period"):
+        small(late, tmp_path / "out", drivers=("acc",), shares=(1.0,), seeds=1).drive()
+    said = []
+
+    class Hears:
+        def start(self, work, total, done=0): ...
+
+        def advance(self, figures): ...
+
+        def note(self, text):
+            said.append(text)
+
+    once = {"drivers": ("acc",), "shares": (1.0,), "seeds": 1, "warm_up_s": None, "duration_s": 200.0}
+    small(world, tmp_path / "short", observer=Hears(), **once).drive()
+    assert any("the last vehicle departs at 200 s, before the period ends at" in one for one in said)
+
+
 @pytest.mark.parametrize(
     ("changes", "told"),
     [
+        (
+            {"key": "adas.max_speed_kmh", "settings": ("limit",)},
+            "what is swept over are numbers; got adas.max_speed_kmh",
+        ),
+        ({"key": "lidar.max_range_m", "settings": ("50",), "drivers": ("road-rail",)}, "was trained with"),
         ({"shares": (0.5, 1.2)}, "a share is a number from 0 to 1; got 1.2"),
         ({"shares": (0.5, math.nan)}, "a share is a number from 0 to 1; got nan"),
         ({"shares": (0.5, 0.5)}, "share 0.5 is given twice; leave one out"),

@@ -11,6 +11,7 @@ from rail_sumo.config import Config
 from rail_sumo.errors import CourseError, InputError
 from rail_sumo.highway import entry, sumo_process
 from rail_sumo.highway.agent import Agent
+from rail_sumo.highway.host import Host
 from rail_sumo.highway.network import demand, road
 from rail_sumo.highway.simulation import Inserted, Simulation
 from rail_sumo.records import SECONDS_PER_STEP, Floats, MetaAction
@@ -67,31 +68,31 @@ class Fleet:
         """How many its drivers have taken."""
         self.inserted: dict[str, Inserted] = {}
         """Everybody who has been put on the road, by id."""
-        self.lanes: dict[str, tuple[float, float]] = {}
-        """Length and limit of every lane, see `Simulation.lanes`."""
+        self.lanes: dict[str, tuple[float, float, bool]] = {}
+        """See `Simulation.lanes`."""
+        self.kinds_of_cars: set[str] = set()
+        """The vehicle types of the cars among them. SUMO is not asked for others: it would draw from distributions."""
         self.teleported: list[tuple[float, str]] = []
         """Who was taken off the road to be put on again elsewhere, and when."""
         self._seats: dict[str, _Seat] = {}
         self._world = self.world.changed(episode={"course_m": math.inf, "duration_s": 1e9})
 
     @sumo_process.as_input_errors
-    def drive(self, until_s: float, *, from_s: float | None = None) -> list[int]:
-        """Let the demand drive until a time; returns how many vehicles were on the road at every full second.
-
-        Args:
-            until_s: in the demand's time.
-            from_s: when to begin; `traffic.begin_s` by default.
+    def drive(self, until_s: float) -> list[int]:
+        """Let the demand drive until a time; returns how many vehicles were on the road, a second apart.
 
         Raises:
-            InputError: there is no demand, or SUMO gives up.
+            InputError: there is no demand, worlds are to vary, or SUMO gives up.
         """
+        if self.world.varied.networks:
+            raise InputError("a share is of the cars of one demand; leave out varied.networks")
         own = demand.read(self.world.traffic)
         if not own.has_traffic:
             raise InputError(
                 "a share is of the cars of a demand, and there is none; name its files with --routes, or a .sumocfg"
             )
         road.require_readable(self.world.network.file)
-        begin_s = self.world.traffic.begin_s if from_s is None else from_s
+        begin_s = self.world.traffic.begin_s
         on_road = []
         with Simulation(
             assets.network(self.world.network.file),
@@ -106,6 +107,8 @@ class Fleet:
                 self._step(simulation)
                 if number % round(1.0 / SECONDS_PER_STEP) == 0:
                     on_road.append(simulation.n_on_road)
+            for seat in self._seats.values():
+                self._count_contacts(seat.agent.host)
         return on_road
 
     def _step(self, simulation: Simulation) -> None:
@@ -115,14 +118,21 @@ class Fleet:
             else:
                 self.decisions += seat.command(simulation)
         for gone in simulation.step():
-            self._seats.pop(gone, None)
+            self._count_contacts(self._seats.pop(gone).agent.host)
         for seat in self._seats.values():
-            seat.note()
+            if not seat.agent.host.is_lost:
+                seat.note()
         self.teleported += [(simulation.now_s, name) for name in simulation.teleporting()]
         for car in simulation.departed():
             self.inserted[car.name] = car
-            if car.is_car and is_driven(car.name, self.share, self.seed):
+            if car.is_car:
+                self.kinds_of_cars.add(car.kind)
+            if self.is_of_the_share(car.name, car.kind):
                 self._enter(simulation, car)
+
+    def is_of_the_share(self, vehicle: str, kind: str, share: float | None = None) -> bool:
+        """Return whether a vehicle, by its id and its type's, is among the cars of a share; by default the fleet's."""
+        return kind in self.kinds_of_cars and is_driven(vehicle, self.share if share is None else share, self.seed)
 
     def _enter(self, simulation: Simulation, car: Inserted) -> None:
         if self.driver == "nothing":
@@ -153,9 +163,12 @@ class Fleet:
 
     def _part(self, simulation: Simulation, name: str) -> None:
         host = self._seats.pop(name).agent.host
+        self._count_contacts(host)
+        simulation.hand_back(host)
+
+    def _count_contacts(self, host: Host) -> None:
         self.contacts += host.collisions + host.struck
         self.struck_another += host.collisions
-        simulation.hand_back(host)
 
 
 class _Seat:
@@ -168,10 +181,11 @@ class _Seat:
 
     def is_over(self, simulation: Simulation) -> bool:
         """Look around if it is time to, and return whether the agent has driven as far as it can."""
-        if not self._is_due:
-            return False
-        self.agent.look(simulation.scene(self.agent.host))
-        return self.agent.end not in (None, "standstill")  # in a jam somebody may stand for long
+        if self.agent.host.is_lost:
+            return True
+        if self._is_due:
+            self.agent.look(simulation.scene(self.agent.host))
+        return self.agent.end is not None
 
     @property
     def _is_due(self) -> bool:

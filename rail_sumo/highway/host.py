@@ -25,7 +25,7 @@ HOST_TYPE = HOST
 
 COMMANDED_ONLY = 256
 """Lane-change mode of the host: no change of its own accord; the ADAS layer is the gate, SUMO only avoids overlap."""
-ASKS, NOT_ASSERTIVE = 257, "1e-9"
+ASKS, ASSERTIVE, NOT_ASSERTIVE = 257, "laneChangeModel.lcAssertive", "1e-9"
 """The same, but it means to leave a lane that does not lead on; and how little it then insists on it."""
 UNSURE_MPS = 0.5
 """By how much speeds change within a step, at most."""
@@ -90,7 +90,7 @@ class Host:
         shares_type: bool = False,
     ) -> None:
         self.name = name
-        self._shares_type = shares_type
+        self.shares_type = shares_type
         self._look_around = look_around
         self._claims = claims
         self._adas = adas
@@ -164,7 +164,7 @@ class Host:
 
     def _set(self, what: str, value: str | float) -> None:
         """Set a property of its vehicle type; of its own, which SUMO then gives a name of its own, if it shares it."""
-        if self._shares_type:
+        if self.shares_type:
             getattr(libsumo.vehicle, f"set{what}")(self.name, value)
         else:
             getattr(libsumo.vehicletype, f"set{what}")(HOST_TYPE, value)
@@ -183,9 +183,13 @@ class Host:
 
         If it is faster, it stays so: SUMO would brake it hard, and it leaves the road soon.
         """
-        vehicle = libsumo.vehicle
+        self._ask(0)
+        vehicle, speed_mps = libsumo.vehicle, libsumo.vehicle.getSpeed(self.name)
         vehicle.setType(self.name, kind)
-        vehicle.setSpeedFactor(self.name, max(speed_factor, self.speeds_mps[-1] / self.limit_mps))
+        faster = speed_mps / self.limit_mps if vehicle.getLaneID(self.name) else 0.0  # unless it parks
+        vehicle.setSpeedFactor(self.name, max(speed_factor, faster))
+        if speed_mps > vehicle.getMaxSpeed(self.name):
+            vehicle.setMaxSpeed(self.name, speed_mps)
         vehicle.setSpeed(self.name, SUMO_DECIDES)
         vehicle.setSpeedMode(self.name, SUMO_SPEED_MODE)
         vehicle.setLaneChangeMode(self.name, SUMO_CHANGES_LANES)
@@ -269,6 +273,12 @@ class Host:
             stops_ahead=stops,
             sumos_lane_changes=self._sumos_lane_changes,
         )
+
+    @property
+    def is_lost(self) -> bool:
+        """Whether it can no longer be driven: it parks, or has been given another way than its course."""
+        lane_id = libsumo.vehicle.getLaneID(self.name)
+        return not lane_id or not (lane_id.startswith(":") or lane_id.rpartition("_")[0] in self._edges)
 
     @property
     def travelled_m(self) -> float:
@@ -401,11 +411,17 @@ class Host:
         anybody leaves; but where SUMO needs none at all, between a slower vehicle and a faster one, it does not ask.
         """
         asks = side != 0 and self._needs_room(side)
-        if asks != self._asks:
-            assertive = "laneChangeModel.lcAssertive"
-            libsumo.vehicle.setParameter(self.name, assertive, NOT_ASSERTIVE if asks else "1")
-            libsumo.vehicle.setLaneChangeMode(self.name, ASKS if asks else COMMANDED_ONLY)
-            self._asks = asks
+        if asks == self._asks:
+            return
+        vehicle = libsumo.vehicle
+        try:
+            if asks:
+                self._assertive = vehicle.getParameter(self.name, ASSERTIVE)
+            vehicle.setParameter(self.name, ASSERTIVE, NOT_ASSERTIVE if asks else self._assertive)
+        except libsumo.TraCIException:  # its lane-change model, a demand's default, knows no such thing
+            return
+        vehicle.setLaneChangeMode(self.name, ASKS if asks else COMMANDED_ONLY)
+        self._asks = asks
 
     def _needs_room(self, side: int) -> bool:
         """Whether SUMO's drivers would keep a gap between the host and its neighbours in the lane on a side."""
@@ -526,7 +542,9 @@ class Host:
         for watched in self._behind:
             if watched.until >= len(self.speeds_mps):
                 with suppress(libsumo.TraCIException):  # it has left
-                    watched.speeds_mps.append(libsumo.vehicle.getSpeed(watched.name))
+                    speed_mps = libsumo.vehicle.getSpeed(watched.name)
+                    if speed_mps != libsumo.INVALID_DOUBLE_VALUE:  # as of one that is being teleported
+                        watched.speeds_mps.append(speed_mps)
 
     def _note_lane(self) -> None:
         """Notice when SUMO's own driver has changed lanes."""

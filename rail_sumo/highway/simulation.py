@@ -16,7 +16,7 @@ import numpy as np
 from rail_sumo import config
 from rail_sumo.errors import InputError
 from rail_sumo.highway import placing, sumo_process
-from rail_sumo.highway.host import HOST_TYPE, Host
+from rail_sumo.highway.host import HOST_TYPE, Host, way_of
 from rail_sumo.highway.names import HOST, OURS
 from rail_sumo.highway.network.demand import Demand
 from rail_sumo.highway.network.road import Road
@@ -98,7 +98,7 @@ class Inserted:
     vclass: str
     """SUMO's class."""
     edges: tuple[str, ...]
-    """Of its route."""
+    """Of its route, from where it has been inserted on."""
     lane: int
     front_m: float
     speed_mps: float
@@ -108,6 +108,7 @@ class Inserted:
     """The id of its type."""
     speed_factor: float
     fastest_mps: float
+    emission_class: str
 
     @property
     def is_car(self) -> bool:
@@ -260,13 +261,13 @@ class Simulation:
         self._enter(f"{min(speed_mps if there_mps is None else there_mps, ceiling_mps):.3f}")
 
     def departed(self) -> list["Inserted"]:
-        """Return the demand's vehicles that have been inserted in the last step, at the beginning of their route."""
+        """Return the demand's vehicles that have been inserted in the last step; not those that park."""
         get = libsumo.vehicle
         return [
             Inserted(
                 name,
                 get.getVehicleClass(name),
-                tuple(get.getRoute(name)),
+                tuple(way_of(name)),
                 lane=get.getLaneIndex(name),
                 front_m=get.getLanePosition(name),
                 speed_mps=get.getSpeed(name),
@@ -275,15 +276,18 @@ class Simulation:
                 kind=get.getTypeID(name),
                 speed_factor=get.getSpeedFactor(name),
                 fastest_mps=get.getMaxSpeed(name),
+                emission_class=get.getEmissionClass(name),
             )
             for name in libsumo.simulation.getDepartedIDList()
-            if get.getRoadID(name) == get.getRoute(name)[0]
+            if get.getRoadID(name) == way_of(name)[0]
         ]
 
     def take_over(self, car: "Inserted") -> None:
         """Make a vehicle of the demand that has just been inserted the host: as large as it is, and on its route."""
         libsumo.vehicle.setType(car.name, HOST_TYPE)
         self.host.become(car.vclass, length_m=car.length_m, width_m=car.width_m, speed_mps=car.speed_mps)
+        if self.host.shares_type:  # a lone host's emissions are nobody's figure
+            libsumo.vehicle.setEmissionClass(car.name, car.emission_class)
         self.host.take_over(car.speed_mps)
         self.host.begin()
         self._held.pop(car.name, None)
@@ -304,6 +308,7 @@ class Simulation:
             (libsumo.vehicle.setWidth, car.width_m),
             (libsumo.vehicle.setMaxSpeed, car.fastest_mps),
             (libsumo.vehicle.setSpeedFactor, car.speed_factor),
+            (libsumo.vehicle.setEmissionClass, car.emission_class),
         ):
             set_own(car.name, value)
 
@@ -345,14 +350,13 @@ class Simulation:
         """Return the names of all vehicles that have been inserted and have not arrived."""
         return set(libsumo.vehicle.getIDList())
 
-    def lanes(self) -> dict[str, tuple[float, float]]:
-        """Return length and limit, in m and m/s, of every lane that is open to cars; junctions' insides too."""
+    def lanes(self) -> dict[str, tuple[float, float, bool]]:
+        """Return length, limit (m, m/s) and whether it is open to cars of every lane; junctions' insides too."""
         get = libsumo.lane
         allowed = {name: get.getAllowed(name) for name in get.getIDList()}  # nobody named: everybody
         return {
-            name: (get.getLength(name), get.getMaxSpeed(name))
+            name: (get.getLength(name), get.getMaxSpeed(name), not classes or not CARS.isdisjoint(classes))
             for name, classes in allowed.items()
-            if not classes or not CARS.isdisjoint(classes)
         }
 
     @property

@@ -37,8 +37,9 @@ def draw(config: Config, seed: int) -> Config:
     file, demand = _keys_of(varied.networks[int(where * len(varied.networks))])
     limit_factor = _between(varied.limit_factor, limit)
     if demand and whose < varied.own_demand:
-        options = _scaled(demand.get("options", ()), _between(varied.demand_scale, scale))
-        return _fixed(config, file, limit_factor, demand | {"options": options})
+        factor = config.traffic.scale * _between(varied.demand_scale, scale)
+        options = _scaled(demand.get("options", ()), factor)
+        return _fixed(config, file, limit_factor, demand | {"options": options, "scale": 1.0})
     course = road.load(file, limit_factor=limit_factor)
     limit_kmh = min(course.highest_limit_mps, FASTEST_CAR_MPS) * KMH
     n_lanes = fmean(edge.n_lanes for edge in course.edges)

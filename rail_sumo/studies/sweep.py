@@ -26,13 +26,14 @@ from rich.box import SIMPLE_HEAD
 from rich.markup import escape
 from rich.table import Table
 
-from rail_sumo import config_file, drivers, rollout, run, training
+from rail_sumo import assets, config_file, drivers, rollout, run, training
 from rail_sumo.config import Config
 from rail_sumo.errors import InputError
 from rail_sumo.files import check_folder, whole_file
 from rail_sumo.highway import fleet
 from rail_sumo.highway.agent import Agent
 from rail_sumo.highway.fleet import Fleet
+from rail_sumo.highway.network import demand
 from rail_sumo.pictures import plot
 from rail_sumo.records import Floats
 from rail_sumo.rollout import EVALUATION, SILENT, Observer, Who, traffic_seed
@@ -46,13 +47,14 @@ AUTO = "auto"
 FOUND_OVER, FOUND_WITHIN_S = 2.0, 1200.0
 """To find the warm-up the traffic is watched for so many times the period that counts, and no less long than this."""
 
+EMISSIONS = "device.emissions.probability"
 MADE_OF = b"rail_sumo"
 KEYS = {"driver": "string", "setting": "string", "share": "float64", "seed": "int64", "vehicles": "string"}
 TRAFFIC_COLUMNS = {**KEYS, **traffic.MEASURES, "undriven": "int64"}
 """Columns of the `traffic` table: a row per driver, setting, share, seed and kind of vehicles.
 
-`setting` is the value of the key that is swept over, empty where that is the share; `undriven` is how many of the share
-SUMO drove itself, since their route is too short or closed to a host.
+`setting` is the value of the key that is swept over, empty where that is the share; `undriven` is how many cars of the
+share SUMO drove all the way, since their route is too short or closed to a host, from the beginning of the run on.
 """
 MEASURED = tuple(traffic.MEASURES)
 SUMMARY_COLUMNS = {
@@ -109,6 +111,7 @@ class Sweep:
         """
         self._check()
         check_folder(self.out, overwrite=True)
+        list(self._work(0.0))  # whoever is not found is not found before anybody drives
         warm_up_s = self._warm_up_s() if self.warm_up_s is None else self.warm_up_s
         work = list(self._work(warm_up_s))
         self.observer.start("runs", len(work))
@@ -157,6 +160,13 @@ class Sweep:
         for share in self.shares:
             if not 0.0 <= share <= 1.0:
                 raise InputError(f"a share is a number from 0 to 1; got {share:g}")
+        if self.config.varied.networks:
+            raise InputError("a share is of the cars of one demand; leave out varied.networks")
+        for setting in self.settings if self.key != SHARE else ():
+            try:
+                float(setting)
+            except ValueError:
+                raise InputError(f"what is swept over are numbers; got {self.key} = '{setting}'") from None
         for what, given in (("share", self.shares), ("driver", self.drivers), (f"value of {self.key}", self.settings)):
             twice = next((one for one in given if given.count(one) > 1), None)
             if twice is not None:
@@ -172,6 +182,9 @@ class Sweep:
         for setting in self.settings:
             world = self._world(setting)
             who = {name: run.find_driver(name, world) for name in self.drivers if name not in (ACC, AS_THEY_ARE)}
+            if self.key.startswith(("lidar.", "observation.")):
+                for name, driver in who.items():
+                    drivers.require_same_senses(driver, world, f"driver '{name}'")
             for seed in range(self.seeds):
                 one = _Work(
                     self.out, world, AS_THEY_ARE, None, setting, 0.0, (0.0, *shares), seed, warm_up_s, self.duration_s
@@ -190,19 +203,31 @@ class Sweep:
         return config_file.changed(self.config, [f"{self.key}={setting}"])
 
     def _warm_up_s(self) -> float:
-        """Return how long the number of vehicles on the road takes to settle, as they are."""
-        pilot = Fleet(self._world(self.settings[0]), 0.0, traffic_seed(0, EVALUATION, 0), "nothing")
-        begin_s = pilot.world.traffic.begin_s
-        self.observer.start("warm-up", 1)
-        counts = pilot.drive(begin_s + max(FOUND_OVER * self.duration_s, FOUND_WITHIN_S))
-        self.observer.advance({})
-        seconds, settles = warm_up.found_s(counts)
-        if not settles:
-            self.observer.note(
-                f"the number of vehicles on the road does not settle within {len(counts)} s: more come than leave; "
-                f"{seconds:.0f} s are left out, and what follows depends on the period"
-            )
-        return float(seconds)
+        """Return how long the number of vehicles on the road takes to settle, as they are, at the slowest setting."""
+        found_s = 0
+        self.observer.start("warm-up", len(self.settings))
+        for setting in self.settings:
+            world = self._world(setting)
+            pilot = Fleet(world, 0.0, traffic_seed(0, EVALUATION, 0), "nothing")
+            begin_s, own = world.traffic.begin_s, demand.read(world.traffic)
+            last_s = own.departs_s[1] if own.has_traffic else begin_s
+            watched_s = max(FOUND_OVER * self.duration_s, FOUND_WITHIN_S)
+            counts = pilot.drive(min(begin_s + watched_s, max(last_s, begin_s + 1.0)))
+            self.observer.advance({})
+            seconds, settles = warm_up.found_s(counts)
+            found_s = max(found_s, seconds)
+            if not settles:
+                self.observer.note(
+                    f"the number of vehicles on the road does not settle within {len(counts)} s"
+                    f"{f' at {self.key} = {setting}' if setting else ''}: more come than leave; {seconds:.0f} s are "
+                    f"left out, and what follows depends on the period"
+                )
+            if begin_s + found_s + self.duration_s > last_s:
+                self.observer.note(
+                    f"the last vehicle departs at {last_s:.0f} s, before the period ends at "
+                    f"{begin_s + found_s + self.duration_s:.0f} s: choose a shorter --duration, or lengthen the demand"
+                )
+        return float(found_s)
 
 
 class Tables(NamedTuple):
@@ -248,6 +273,7 @@ class _Work:
             "shares": self.shares,
             "seed": self.seed,
             "period": (self.warm_up_s, self.duration_s),
+            "by": assets.own_version(),
         }
         return json.dumps(about, sort_keys=True)
 
@@ -277,8 +303,11 @@ def _rows(work: _Work) -> pd.DataFrame:
     from_s = begin_s + work.warm_up_s
     with tempfile.TemporaryDirectory() as folder:
         reports = Path(folder)
-        driven = Fleet(_senses(work), work.share, seed, _driver_of(work, seed), traffic.options(reports))
-        driven.drive(from_s + work.duration_s)
+        driven = Fleet(_driven_in(work), work.share, seed, _driver_of(work, seed), traffic.options(reports))
+        try:
+            driven.drive(from_s + work.duration_s)
+        except InputError as error:
+            raise InputError(f"driver '{work.driver}', share {work.share:g}, seed {work.seed}: {error}") from None
         run_ = traffic.Run(
             reports,
             from_s,
@@ -288,16 +317,25 @@ def _rows(work: _Work) -> pd.DataFrame:
             teleported=tuple(driven.teleported),
         )
         told = traffic.Reports(run_)
+    if driven.undriven and not driven.driven:
+        raise InputError(
+            f"driver '{work.driver}' could drive none of {len(driven.undriven)} cars: "
+            f"{next(iter(driven.undriven.values()))}"
+        )
     about = {"driver": work.driver, "setting": work.setting, "seed": work.seed, "undriven": len(driven.undriven)}
+    kinds = {name: car.kind for name, car in driven.inserted.items()} | told.waiting
     rows: list[dict[str, Any]] = []
     for share in work.shares:
-        of_share = {name for name, car in driven.inserted.items() if car.is_car and fleet.is_driven(name, share, seed)}
+        of_share = {name for name, kind in kinds.items() if driven.is_of_the_share(name, kind, share)}
         rows += [about | {"share": share} | measures for measures in told.measures(of_share)]
     return pd.DataFrame(rows)
 
 
-def _senses(work: _Work) -> Config:
-    return work.world.seen_with(getattr(work.who, "senses", None))
+def _driven_in(work: _Work) -> Config:
+    """Return the world as the driver senses it, with SUMO accounting for everybody's emissions."""
+    world = work.world.seen_with(getattr(work.who, "senses", None))
+    others = [option for option in world.traffic.options if not option.startswith(EMISSIONS)]
+    return world.changed(traffic={"options": (*others, f"{EMISSIONS}=1")})
 
 
 def _driver_of(work: _Work, seed: int) -> Callable[[str], fleet.Decide] | fleet.Instead:
@@ -425,9 +463,13 @@ def shown(sweep: Sweep, tables: Tables) -> Table:
 
 def _caption(sweep: Sweep, tables: Tables) -> str:
     seeds = f"{sweep.seeds} seeds" if sweep.seeds > 1 else "one seed: no interval"
+    undriven = tables.traffic.loc[tables.traffic["vehicles"] == traffic.DRIVEN, "undriven"].max()
+    left = (
+        f" Up to {undriven} cars of a run's share are left to SUMO, on routes too short for a host." if undriven else ""
+    )
     return (
         f"{seeds}; {sweep.duration_s:g} s each, after {tables.warm_up_s:g} s that do not count. Means of all vehicles; "
-        "in brackets the difference from share 0 on the same traffic, ± half its 95 % interval."
+        f"in brackets the difference from share 0 on the same traffic, ± half its 95 % interval.{left}"
     )
 
 

@@ -53,10 +53,12 @@ MEASURES: dict[str, str] = {
 
 
 class Lane(NamedTuple):
-    """A lane that is open to cars, or a junction's inside."""
+    """A lane, or a junction's inside."""
 
     length_m: float
     limit_mps: float
+    is_open: bool = True
+    """Whether it is open to cars."""
 
 
 class Wish(NamedTuple):
@@ -90,7 +92,7 @@ def options(folder: Path) -> tuple[str, ...]:
         *("--fcd-output", str(folder / "fcd.csv"), "--fcd-output.attributes", "speed,lane,leaderGap,leaderSpeed"),
         *("--fcd-output.max-leader-distance", str(LEADER_WITHIN_M), "--device.fcd.period", str(SAMPLED_S)),
         *("--tripinfo-output", str(folder / "trips.xml"), "--tripinfo-output.write-unfinished", "true"),
-        *("--tripinfo-output.write-undeparted", "true", "--device.emissions.probability", "1"),
+        *("--tripinfo-output.write-undeparted", "true"),
         *("--lanechange-output", str(folder / "changes.xml"), "--collision-output", str(folder / "collisions.xml")),
     )
 
@@ -116,10 +118,16 @@ class Reports:
         used = {lane.rpartition("_")[0] for lane in self._samples["lane"].unique()}
         lanes_m: dict[str, list[float]] = {edge: [] for edge in used}
         for name, lane in run.lanes.items():
-            if (edge := name.rpartition("_")[0]) in used:
+            if lane.is_open and (edge := name.rpartition("_")[0]) in used:
                 lanes_m[edge].append(lane.length_m)
         self._road_m = sum(max(of_edge) for of_edge in lanes_m.values() if of_edge)
         self._lanes_m = sum(sum(of_edge) for of_edge in lanes_m.values())
+
+    @property
+    def waiting(self) -> dict[str, str]:
+        """The ids of those that were still to be inserted at the end, each with its type's."""
+        waiting = self._trips[self._trips["depart"] < 0]
+        return dict(zip(waiting["id"], waiting["kind"], strict=True))
 
     def measures(self, driven: Set[str]) -> Iterator[dict[str, Any]]:
         """Yield the measures of all vehicles, of those named and of the others, each with its kind as `vehicles`."""
@@ -172,15 +180,35 @@ class Reports:
         }
 
 
+_SAMPLED = {
+    "timestep_time": "float64",
+    "vehicle_id": "str",
+    "vehicle_speed": "float64",
+    "vehicle_lane": "str",
+    "vehicle_leaderGap": "float64",
+    "vehicle_leaderSpeed": "float64",
+}
+
+
 def _samples(run: Run) -> pd.DataFrame:
     """Return who drove how fast where in the period, twice a second, and where which conflict or braking begins."""
-    read = pd.read_csv(run.folder / "fcd.csv", sep=";")
+    try:
+        read = pd.read_csv(
+            run.folder / "fcd.csv",
+            sep=";",
+            usecols=list(_SAMPLED),
+            dtype=_SAMPLED,
+            na_values=[""],
+            keep_default_na=False,
+        )
+    except (pd.errors.EmptyDataError, ValueError):  # nobody was on the road at any time
+        read = pd.DataFrame({name: pd.Series(dtype=kind) for name, kind in _SAMPLED.items()})
     read.columns = [name.rpartition("_")[2] for name in read.columns]
     read = read[(read["time"] >= run.from_s) & (read["time"] < run.until_s) & read["id"].notna()]
     read = read.sort_values(["id", "time"], kind="stable", ignore_index=True)
     limits = read["lane"].map({name: lane.limit_mps for name, lane in run.lanes.items()}).to_numpy(np.float64)
     factors, fastest = (read["id"].map({k: wish[n] for k, wish in run.wishes.items()}) for n in (0, 1))
-    read["wish"] = np.fmin(limits * factors.to_numpy(np.float64), fastest.to_numpy(np.float64))
+    read["wish"] = np.minimum(limits * factors.to_numpy(np.float64), fastest.to_numpy(np.float64))
     speed, gap = read["speed"].to_numpy(), read["leaderGap"].to_numpy()
     closing = speed - read["leaderSpeed"].to_numpy()
     closes = (gap > 0.0) & (closing > 0.0)
@@ -225,6 +253,7 @@ def _trips(file: Path) -> pd.DataFrame:
         emissions = trip.find("emissions")
         rows.append({
             "id": trip.get("id"),
+            "kind": trip.get("vType", ""),
             "depart": float(trip.get("depart", "")),
             "delay": float(trip.get("departDelay", "")),
             "arrival": float(trip.get("arrival", "")),
@@ -232,7 +261,7 @@ def _trips(file: Path) -> pd.DataFrame:
             "co2_mg": 0.0 if emissions is None else float(emissions.get("CO2_abs", "0")),
             "fuel_mg": 0.0 if emissions is None else float(emissions.get("fuel_abs", "0")),
         })  # fmt: skip
-    columns = ["id", "depart", "delay", "arrival", "metres", "co2_mg", "fuel_mg"]
+    columns = ["id", "kind", "depart", "delay", "arrival", "metres", "co2_mg", "fuel_mg"]
     return pd.DataFrame(rows, columns=columns)
 
 
