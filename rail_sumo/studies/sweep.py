@@ -44,6 +44,11 @@ SHARE = "share"
 ACC, AS_THEY_ARE = "acc", "sumo"
 """SUMO's own adaptive cruise control; and the placebo: vehicles that count as driven, and are left as they are."""
 AUTO = "auto"
+SECTIONS_WITH_EFFECT, WITH_EFFECT = (
+    ("network", "traffic", "adas", "lidar", "observation"),
+    ("episode.decision_period_s",),
+)
+"""Where what changes how many vehicles drive stands: in these sections, and under this key."""
 FOUND_OVER, FOUND_WITHIN_S = 2.0, 1200.0
 """To find the warm-up the traffic is watched for so many times the period that counts, and no less long than this."""
 
@@ -162,6 +167,11 @@ class Sweep:
                 raise InputError(f"a share is a number from 0 to 1; got {share:g}")
         if self.config.varied.networks:
             raise InputError("a share is of the cars of one demand; leave out varied.networks")
+        if self.key not in (SHARE, *WITH_EFFECT) and self.key.partition(".")[0] not in SECTIONS_WITH_EFFECT:
+            raise InputError(
+                f"{self.key} has no effect on a sweep; vary a number of [{'], ['.join(SECTIONS_WITH_EFFECT)}] or "
+                f"{WITH_EFFECT[0]}"
+            )
         for setting in self.settings if self.key != SHARE else ():
             try:
                 float(setting)
