@@ -51,7 +51,7 @@ def timed(driver: Driver, task: Task, recording: Recording | None = None) -> flo
 
 def timed_fleet(world: Config, share: float, driver: str) -> tuple[float, Fleet]:
     """Drive a share of the demand; returns the seconds it took, and the fleet."""
-    fleet = Fleet(world, share, 1, lambda vehicle: rollout.driver_of(driver, world, sum(vehicle.encode())).decide)
+    fleet = rollout.fleet_of(driver, world, share, 1)
     started = time.perf_counter()
     fleet.drive(SIMULATED_S)
     return time.perf_counter() - started, fleet

@@ -18,7 +18,6 @@ import roads
 
 from rail_sumo import config_file, rollout, run
 from rail_sumo.errors import InputError
-from rail_sumo.highway.fleet import Fleet
 from rail_sumo.rollout import EVALUATION, traffic_seed
 
 OURS = [(name, [f'network.file="{name}"', f'traffic.routes=["{name}"]']) for name in ("highway5", "ring5")]
@@ -27,13 +26,7 @@ OURS = [(name, [f'network.file="{name}"', f'traffic.routes=["{name}"]']) for nam
 def drive(work: tuple[str, list[str], str, float, int, float]) -> dict[str, object]:
     name, overrides, policy, share, number, seconds = work
     world = config_file.load(None, overrides)
-    who = run.find_driver(policy, world)
-    seed = traffic_seed(number, EVALUATION, 0)
-
-    def driver(vehicle: str):
-        return rollout.driver_of(who, world, traffic_seed(seed, *vehicle.encode())).decide
-
-    fleet = Fleet(world.seen_with(getattr(who, "senses", None)), share, seed, driver)
+    fleet = rollout.fleet_of(run.find_driver(policy, world), world, share, traffic_seed(number, EVALUATION, 0))
     told = {"road": name, "policy": policy, "share": share}
     try:
         fleet.drive(world.traffic.begin_s + seconds)

@@ -111,6 +111,15 @@ class Gaps(NamedTuple):
     behind_speed_mps: float
 
 
+class Lane(NamedTuple):
+    """A lane of SUMO's, or one of a junction's inside."""
+
+    length_m: float
+    limit_mps: float
+    is_open: bool = True
+    """Whether it is open to cars."""
+
+
 SUMO_DECIDES = -1.0
 """As a commanded speed: SUMO's own driver picks it."""
 

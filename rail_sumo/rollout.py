@@ -4,7 +4,7 @@ import multiprocessing
 import os
 import signal
 import threading
-from collections.abc import Callable, Iterable, Iterator, Mapping
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from concurrent.futures import ProcessPoolExecutor
 from concurrent.futures.process import BrokenProcessPool
 from contextlib import contextmanager
@@ -19,6 +19,7 @@ from rail_sumo.config import Config
 from rail_sumo.errors import InputError, NotBegun
 from rail_sumo.highway import metrics
 from rail_sumo.highway.env import HighwayEnv
+from rail_sumo.highway.fleet import Decide, Fleet, Instead
 from rail_sumo.policy import PolicyParameters
 from rail_sumo.records import EndReason, Floats, Trajectory
 
@@ -138,6 +139,25 @@ def driver_of(who: Who, config: Config, seed: int) -> drivers.Driver:
     if isinstance(who, PolicyParameters):
         return drivers.Learned(who, seed)
     return who
+
+
+def fleet_of(who: Who | Instead, world: Config, share: float, seed: int, outputs: Sequence[str] = ()) -> Fleet:
+    """Return a demand of which a share is driven, as the driver senses it; each vehicle draws by its own id.
+
+    Args:
+        who: who drives, or what a vehicle of the share gets instead.
+        world: network, demand, and how vehicles sense and drive.
+        share: of the cars, 0 to 1.
+        seed: of the traffic, of which cars are driven, and of whatever a driver draws.
+        outputs: further options of SUMO's.
+    """
+    if who in ("nothing", "acc"):
+        return Fleet(world, share, seed, who, outputs)
+
+    def decides(vehicle: str) -> Decide:
+        return driver_of(who, world, traffic_seed(seed, *vehicle.encode())).decide
+
+    return Fleet(world.seen_with(getattr(who, "senses", None)), share, seed, decides, outputs)
 
 
 WorkerCount = int | Literal["ray"]

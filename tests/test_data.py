@@ -7,8 +7,9 @@ import claims
 import pandas as pd
 import pytest
 
-from rail_sumo.studies import reproduce, sweep
+from rail_sumo.studies import reproduce
 from rail_sumo.studies.experiment import SYSTEMS
+from rail_sumo.tables import shares
 
 ROOT = Path(__file__).parent.parent
 CELLS = ROOT / "docs" / "data" / "cells.parquet"
@@ -58,7 +59,7 @@ def test_files_that_documents_name_are_there(document):
 def test_the_table_of_the_study_of_shares_is_what_its_runs_come_to():
     table = pd.read_parquet(CELLS.with_name("share.parquet"))
     text = (ROOT / "docs" / "share.md").read_text(encoding="utf-8")
-    rows = sweep.told_rows(table, sweep.compared(table))
+    rows = shares.told_rows(table, shares.compared(table))
     assert len(rows) == 1 + 3 * 4
     for driver, _, *cells in rows:
         assert f"| {' | '.join([driver, *cells])} |" in text

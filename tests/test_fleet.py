@@ -239,8 +239,9 @@ def test_who_is_near_is_the_same_whether_one_looks_or_many(monkeypatch, network)
         gone = step(simulation)
         for host in simulation.hosts[len(compared) % 3 :: 3]:
             here, reach_m = libsumo.vehicle.getPosition3D(host.name), 105.0
-            one = sorted(simulation._near(host.name, here, reach_m))
-            assert one == sorted(simulation._near_of_all(host.name, here, reach_m))
+            one = sorted(simulation._near(host.name, here, reach_m, libsumo.vehicle.getIDList()))
+            lately = simulation._near_lately(here, reach_m)
+            assert one == sorted(simulation._near(host.name, here, reach_m, lately))
             compared.append(len(one))
         return gone
 

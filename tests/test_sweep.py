@@ -11,8 +11,9 @@ from rail_sumo import cli, config_file
 from rail_sumo.errors import InputError
 from rail_sumo.pictures import plot
 from rail_sumo.studies import sweep
-from rail_sumo.studies.sweep import AS_THEY_ARE, Sweep, compared, summarised
-from rail_sumo.tables import report, traffic
+from rail_sumo.studies.sweep import Sweep
+from rail_sumo.tables import report, shares, traffic
+from rail_sumo.tables.shares import AS_THEY_ARE, compared, summarised
 
 ROUTES = """<routes>
     <vType id="car" speedFactor="normc(0.9,0.1,0.7,1.1)"/><vType id="lorry" vClass="truck" maxSpeed="22"/>
@@ -37,6 +38,20 @@ def world(demand):
 def small(world, out, **changes):
     given = {"drivers": ("rule", "acc"), "shares": (0.0, 0.5, 1.0), "seeds": 2, "duration_s": 10.0, "warm_up_s": 20.0}
     return Sweep(world, out=out, **given | changes)
+
+
+class Hears:
+    """An observer that keeps what it is told."""
+
+    def __init__(self):
+        self.said = []
+
+    def start(self, work, total, done=0): ...
+
+    def advance(self, figures): ...
+
+    def note(self, text):
+        self.said.append(text)
 
 
 TABLES = ("traffic.csv", "summary.csv", "differences.csv", "sweep.md")
@@ -71,7 +86,7 @@ def test_what_is_there_of_another_world_or_period_is_driven_again(world, tmp_pat
 
 def test_the_table_has_a_row_for_each_driver_share_seed_and_kind(world, tmp_path):
     table = small(world, tmp_path / "out").drive().traffic
-    assert list(table.columns) == list(sweep.TRAFFIC_COLUMNS)
+    assert list(table.columns) == list(shares.TRAFFIC_COLUMNS)
     keys = table[["driver", "share", "seed", "vehicles"]]
     assert not keys.duplicated().any()
     assert len(table) == 2 * 3 * (3 + 2 * 2)  # seeds, kinds; as they are at every share, two drivers at two
@@ -104,7 +119,7 @@ def made_up(values):
         for (driver, share, kind), speeds in values.items()
         for seed, speed in enumerate(speeds)
     ]
-    return report.typed(rows, sweep.TRAFFIC_COLUMNS)
+    return report.typed(rows, shares.TRAFFIC_COLUMNS)
 
 
 def test_differences_are_from_the_same_vehicles_as_they_are_seed_by_seed():
@@ -147,18 +162,9 @@ def test_a_key_may_be_swept_over(world, tmp_path):
 def test_without_matplotlib_there_are_tables_and_a_word(monkeypatch, world, tmp_path):
     monkeypatch.setattr(sweep, "find_spec", lambda name: None)
     monkeypatch.setattr(plot, "with_bands", None)
-    said = []
-
-    class Hears:
-        def start(self, work, total, done=0): ...
-
-        def advance(self, figures): ...
-
-        def note(self, text):
-            said.append(text)
-
-    small(world, tmp_path / "out", drivers=("acc",), shares=(1.0,), seeds=1, observer=Hears()).drive()
-    assert said == ["no figures without matplotlib; install it with: pip install 'rail-sumo[plots]'"]
+    hears = Hears()
+    small(world, tmp_path / "out", drivers=("acc",), shares=(1.0,), seeds=1, observer=hears).drive()
+    assert hears.said == ["no figures without matplotlib; install it with: pip install 'rail-sumo[plots]'"]
     assert not (tmp_path / "out" / "figures").exists()
 
 
@@ -191,19 +197,10 @@ def test_demand_before_or_after_the_period_is_told(world, demand, tmp_path):
     late = config_file.changed(world, ["traffic.begin_s=300"])
     with pytest.raises(InputError, match="no car of the share was on the road in the period"):
         small(late, tmp_path / "out", drivers=("acc",), shares=(1.0,), seeds=1).drive()
-    said = []
-
-    class Hears:
-        def start(self, work, total, done=0): ...
-
-        def advance(self, figures): ...
-
-        def note(self, text):
-            said.append(text)
-
+    hears = Hears()
     once = {"drivers": ("acc",), "shares": (1.0,), "seeds": 1, "warm_up_s": None, "duration_s": 200.0}
-    small(world, tmp_path / "short", observer=Hears(), **once).drive()
-    assert any("the last vehicle departs at 200 s, before the period ends at" in one for one in said)
+    small(world, tmp_path / "short", observer=hears, **once).drive()
+    assert any("the last vehicle departs at 200 s, before the period ends at" in one for one in hears.said)
 
 
 @pytest.mark.parametrize(

@@ -9,8 +9,9 @@ from driving import UNSEEN
 
 from rail_sumo import config_file
 from rail_sumo.highway.fleet import Fleet
+from rail_sumo.records import Lane
 from rail_sumo.tables import traffic
-from rail_sumo.tables.traffic import Lane, Reports, Run, Wish
+from rail_sumo.tables.traffic import Reports, Run, Wish
 
 LIMIT_MPS = 20.0
 LANES = {"a_0": Lane(1000.0, LIMIT_MPS), "a_1": Lane(1000.0, LIMIT_MPS), "b_0": Lane(500.0, LIMIT_MPS)}
@@ -149,8 +150,7 @@ def test_flow_density_time_loss_and_counts_are_those_of_sumos_own_outputs(tmp_pa
     driven = Fleet(world, 0.0, UNSEEN, "nothing", (*traffic.options(tmp_path), "--edgedata-output", str(edges)))
     driven.drive(240.0)
     wishes = {name: Wish(car.speed_factor, car.fastest_mps) for name, car in driven.inserted.items()}
-    lanes = {name: Lane(*lane) for name, lane in driven.lanes.items()}
-    ours = of(Reports(Run(tmp_path, 0.0, 240.0, wishes, lanes)))["all"]
+    ours = of(Reports(Run(tmp_path, 0.0, 240.0, wishes, driven.lanes)))["all"]
     theirs = [edge.attrib for edge in ElementTree.parse(edges).getroot().iter("edge")]
     driven_s = sum(float(edge["sampledSeconds"]) for edge in theirs)
     driven_m = sum(float(edge["sampledSeconds"]) * float(edge["speed"]) for edge in theirs if "speed" in edge)

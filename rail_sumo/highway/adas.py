@@ -68,7 +68,7 @@ class Adas:
         return self._side
 
     @property
-    def aims_at(self) -> Side | Literal[0]:
+    def aim(self) -> Side | Literal[0]:
         """On which side the lane is that the host is about to cross over into; 0 if it is not."""
         if self._side is None or self._crossed != self._reversing:
             return 0
@@ -194,7 +194,7 @@ class Adas:
         number: it waits beside the border.
         """
         into = self._into(side)
-        if self.aims_at and not (_across(host, into) and self._safe(host.speed_mps, gaps(into))):
+        if self.aim and not (_across(host, into) and self._safe(host.speed_mps, gaps(into))):
             self._reversing = not self._reversing  # the lane the host is a vehicle of is always open to it
         stride = self._config.lateral_speed_mps * SECONDS_PER_STEP
         moved = min(max(self._moved + (-stride if self._reversing else stride), 0.0), self._width)
@@ -295,7 +295,7 @@ class HandsOff:
     """
 
     lateral_m = 0.0
-    aims_at = 0
+    aim = 0
     aborted_lane_changes = 0
     refused_decisions = 0
 

@@ -179,7 +179,7 @@ class Agent:
         """Return what to do next, for no more steps than there are until the next decision."""
         self._was_changing = self._adas.changing_lane
         command = self._adas.command(self.state, self.gaps, steps=self._left)
-        self.host.claim(command.cross or self._adas.aims_at)
+        self.host.claim(command.cross or self._adas.aim)
         return command
 
     def note(self, steps: int) -> None:

@@ -13,8 +13,9 @@ from rail_sumo.highway import entry, sumo_process
 from rail_sumo.highway.agent import Agent
 from rail_sumo.highway.host import Host
 from rail_sumo.highway.network import demand, road
+from rail_sumo.highway.network.demand import Demand
 from rail_sumo.highway.simulation import Inserted, Simulation
-from rail_sumo.records import SECONDS_PER_STEP, Floats, MetaAction
+from rail_sumo.records import SECONDS_PER_STEP, Floats, Lane, MetaAction
 
 Decide = Callable[[Floats, Agent], int]
 """What decides for a vehicle: from what it observes, and the agent itself, the next `MetaAction`."""
@@ -31,6 +32,22 @@ def is_driven(vehicle: str, share: float, seed: int) -> bool:
     """
     digest = hashlib.blake2b(f"{seed}:{vehicle}".encode(), digest_size=_HASH_BYTES).digest()
     return int.from_bytes(digest, "big") < share * 2 ** (8 * _HASH_BYTES)
+
+
+def demand_of(world: Config) -> Demand:
+    """Return the demand that a share may be of.
+
+    Raises:
+        InputError: there is none, or worlds are to vary.
+    """
+    if world.varied.networks:
+        raise InputError("a share is of the cars of one demand; leave out varied.networks")
+    own = demand.read(world.traffic)
+    if not own.has_traffic:
+        raise InputError(
+            "a share is of the cars of a demand, and there is none; name its files with --routes, or a .sumocfg"
+        )
+    return own
 
 
 @dataclass
@@ -68,8 +85,8 @@ class Fleet:
         """How many its drivers have taken."""
         self.inserted: dict[str, Inserted] = {}
         """Everybody who has been put on the road, by id."""
-        self.lanes: dict[str, tuple[float, float, bool]] = {}
-        """See `Simulation.lanes`."""
+        self.lanes: dict[str, Lane] = {}
+        """By their id, whatever the class that they are open to."""
         self.kinds_of_cars: set[str] = set()
         """The vehicle types of the cars among them. SUMO is not asked for others: it would draw from distributions."""
         self.teleported: list[tuple[float, str]] = []
@@ -84,13 +101,7 @@ class Fleet:
         Raises:
             InputError: there is no demand, worlds are to vary, or SUMO gives up.
         """
-        if self.world.varied.networks:
-            raise InputError("a share is of the cars of one demand; leave out varied.networks")
-        own = demand.read(self.world.traffic)
-        if not own.has_traffic:
-            raise InputError(
-                "a share is of the cars of a demand, and there is none; name its files with --routes, or a .sumocfg"
-            )
+        own = demand_of(self.world)
         road.require_readable(self.world.network.file)
         begin_s = self.world.traffic.begin_s
         on_road = []
@@ -183,13 +194,9 @@ class _Seat:
         """Look around if it is time to, and return whether the agent has driven as far as it can."""
         if self.agent.host.is_lost:
             return True
-        if self._is_due:
+        if self._driven == self._ordered and self.agent.is_due:
             self.agent.look(simulation.scene(self.agent.host))
         return self.agent.end is not None
-
-    @property
-    def _is_due(self) -> bool:
-        return self._driven == self._ordered and self.agent.is_due
 
     def command(self, simulation: Simulation) -> bool:
         """Give the next command if the last has been carried out; returns whether that took a decision."""

@@ -1,7 +1,7 @@
 """Hard brakings, counted. Pure: knows nothing of SUMO."""
 
 import numpy as np
-from numpy.typing import ArrayLike
+from numpy.typing import ArrayLike, NDArray
 
 from rail_sumo.records import SECONDS_PER_STEP
 
@@ -24,10 +24,18 @@ def hard_brakings(speed_mps: ArrayLike) -> int:
     """
     speed = np.asarray(speed_mps, dtype=np.float64)
     braking = (speed[:-AVERAGED_STEPS] - speed[AVERAGED_STEPS:]) / (AVERAGED_STEPS * SECONDS_PER_STEP)
-    count, is_counted = 0, False
-    for hard, eased in zip(
-        (braking > HARD_MPS2 + ROUNDING_MPS2).tolist(), (braking < EASED_MPS2).tolist(), strict=True
-    ):
-        count += hard and not is_counted
-        is_counted = (is_counted or hard) and not eased
-    return count
+    return int(beginnings(braking > HARD_MPS2 + ROUNDING_MPS2, braking < EASED_MPS2).sum())
+
+
+def beginnings(hard: NDArray[np.bool_], eased: NDArray[np.bool_]) -> NDArray[np.bool_]:
+    """Return where a hard braking begins; it counts once until it is over.
+
+    Args:
+        hard: where somebody brakes hard, shape (n,).
+        eased: where a braking is over, likewise.
+    """
+    begins, is_counted = np.zeros(len(hard), dtype=np.bool_), False
+    for row in np.flatnonzero(hard | eased).tolist():
+        begins[row] = hard[row] and not is_counted
+        is_counted = (is_counted or hard[row]) and not eased[row]
+    return begins

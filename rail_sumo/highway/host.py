@@ -2,7 +2,7 @@
 
 import math
 from collections import deque
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass
 
@@ -90,7 +90,7 @@ class Host:
         shares_type: bool = False,
     ) -> None:
         self.name = name
-        self.shares_type = shares_type
+        self._shares_type = shares_type
         self._look_around = look_around
         self._claims = claims
         self._adas = adas
@@ -110,6 +110,7 @@ class Host:
         self._is_unsure = False
         self._lateral_m = 0.0
         self._asks = self._is_gentle = False
+        self._assertive = ""  # as it was before it asked
         self.aims_at = ""
         """The lane that it is about to move into; empty if none."""
         self._sumo_drives = False
@@ -155,16 +156,15 @@ class Host:
         libsumo.vehicle.setSpeed(self.name, speed_mps)
         self._set_mps = self._told_mps = speed_mps
 
-    def become(self, vclass: str, *, length_m: float, width_m: float, speed_mps: float) -> None:
-        """Be of the class and size of a vehicle that drives already, so fast."""
-        self._set("VehicleClass", vclass)  # or lanes for its class alone would be closed to it
-        self._set("Length", length_m)
-        self._set("Width", width_m)
+    def become(self, own: Mapping[str, str | float], *, speed_mps: float) -> None:
+        """Be the vehicle that has these properties of its own, by what SUMO's setters call them, and drives so fast."""
+        for what, value in own.items():
+            self._set(what, value)
         self._set("MaxSpeed", max(self.fastest_mps, speed_mps))  # or SUMO would brake it hard
 
     def _set(self, what: str, value: str | float) -> None:
-        """Set a property of its vehicle type; of its own, which SUMO then gives a name of its own, if it shares it."""
-        if self.shares_type:
+        """Set a property of its vehicle type; if others are of it too, of the vehicle, to which SUMO gives its own."""
+        if self._shares_type:
             getattr(libsumo.vehicle, f"set{what}")(self.name, value)
         else:
             getattr(libsumo.vehicletype, f"set{what}")(HOST_TYPE, value)
@@ -407,8 +407,9 @@ class Host:
     def _ask(self, side: int) -> None:
         """Have SUMO's drivers in the lane on a side let the host in, as they do each other; 0: no longer.
 
-        SUMO asks them for whoever means to change lanes by itself. The host does not, for it asks for more room than
-        anybody leaves; but where SUMO needs none at all, between a slower vehicle and a faster one, it does not ask.
+        SUMO's lane changer makes drivers give way to a vehicle that wants to change lanes by itself. So the host is set
+        to want to, and never does: its gaps would have to be longer than any. Only where SUMO takes a gap of no length,
+        between a slower vehicle behind and a faster one ahead, it would change at once; there the host does not ask.
         """
         asks = side != 0 and self._needs_room(side)
         if asks == self._asks:

@@ -2,7 +2,7 @@
 
 import math
 import os
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from contextlib import suppress
 from dataclasses import dataclass
 from itertools import chain
@@ -20,7 +20,7 @@ from rail_sumo.highway.host import HOST_TYPE, Host, way_of
 from rail_sumo.highway.names import HOST, OURS
 from rail_sumo.highway.network.demand import Demand
 from rail_sumo.highway.network.road import Road
-from rail_sumo.records import SECONDS_PER_STEP, Command, Floats, Scene
+from rail_sumo.records import SECONDS_PER_STEP, Command, Floats, Lane, Scene
 
 # Ids that no demand of a user's has; the types' are those of the two files below.
 TRAFFIC_TYPE, LORRY_TYPE = f"{OURS}traffic_", f"{OURS}lorry_"
@@ -109,6 +109,16 @@ class Inserted:
     speed_factor: float
     fastest_mps: float
     emission_class: str
+
+    @property
+    def own(self) -> dict[str, str | float]:
+        """What it keeps, whoever drives it, by what SUMO's setters call it."""
+        return {
+            "VehicleClass": self.vclass,  # or lanes for its class alone would be closed to it
+            "Length": self.length_m,
+            "Width": self.width_m,
+            "EmissionClass": self.emission_class,
+        }
 
     @property
     def is_car(self) -> bool:
@@ -285,9 +295,7 @@ class Simulation:
     def take_over(self, car: "Inserted") -> None:
         """Make a vehicle of the demand that has just been inserted the host: as large as it is, and on its route."""
         libsumo.vehicle.setType(car.name, HOST_TYPE)
-        self.host.become(car.vclass, length_m=car.length_m, width_m=car.width_m, speed_mps=car.speed_mps)
-        if self.host.shares_type:  # a lone host's emissions are nobody's figure
-            libsumo.vehicle.setEmissionClass(car.name, car.emission_class)
+        self.host.become(car.own, speed_mps=car.speed_mps)
         self.host.take_over(car.speed_mps)
         self.host.begin()
         self._held.pop(car.name, None)
@@ -295,22 +303,15 @@ class Simulation:
 
     def hand_back(self, host: Host) -> None:
         """Let SUMO's own driver drive a vehicle of the demand again, as the one that it was."""
-        car = self._taken_over.pop(host.name)
+        car = self._taken_over[host.name]
         host.let_go(car.kind, speed_factor=car.speed_factor)
         self._forget(host)
 
     def give_acc(self, car: "Inserted") -> None:
         """Have SUMO drive a vehicle that has just been inserted by its own model of adaptive cruise control."""
         libsumo.vehicle.setType(car.name, ACC_TYPE)
-        for set_own, value in (
-            (libsumo.vehicle.setVehicleClass, car.vclass),
-            (libsumo.vehicle.setLength, car.length_m),
-            (libsumo.vehicle.setWidth, car.width_m),
-            (libsumo.vehicle.setMaxSpeed, car.fastest_mps),
-            (libsumo.vehicle.setSpeedFactor, car.speed_factor),
-            (libsumo.vehicle.setEmissionClass, car.emission_class),
-        ):
-            set_own(car.name, value)
+        for what, value in {**car.own, "MaxSpeed": car.fastest_mps, "SpeedFactor": car.speed_factor}.items():
+            getattr(libsumo.vehicle, f"set{what}")(car.name, value)
 
     def _enter(self, speed: str) -> None:
         self._add(self.host.name, HOST_TYPE, *self._start, speed)
@@ -350,12 +351,12 @@ class Simulation:
         """Return the names of all vehicles that have been inserted and have not arrived."""
         return set(libsumo.vehicle.getIDList())
 
-    def lanes(self) -> dict[str, tuple[float, float, bool]]:
-        """Return length, limit (m, m/s) and whether it is open to cars of every lane; junctions' insides too."""
+    def lanes(self) -> dict[str, Lane]:
+        """Return every lane, junctions' insides too, by its id."""
         get = libsumo.lane
         allowed = {name: get.getAllowed(name) for name in get.getIDList()}  # nobody named: everybody
         return {
-            name: (get.getLength(name), get.getMaxSpeed(name), not classes or not CARS.isdisjoint(classes))
+            name: Lane(get.getLength(name), get.getMaxSpeed(name), not classes or not CARS.isdisjoint(classes))
             for name, classes in allowed.items()
         }
 
@@ -418,13 +419,15 @@ class Simulation:
         Vehicles on a bridge above or below are left out. On a road that is driven on the left it is told in the mirror;
         see `Road.is_left_hand`.
         """
+        # Getters, not a context subscription: a standing one costs half a step more on every step, and one made for a
+        # single look costs more than all the getters together.
         angle, speed = libsumo.vehicle.getAngle, libsumo.vehicle.getSpeed
         ego = (host or self.host).name
         sizes, (reach_m, is_left_hand) = self._sizes, self._sees[ego]
-        position = libsumo.vehicle.getPosition3D(ego)
-        names, rows = [ego], [*position[:2], angle(ego), speed(ego), *(sizes.get(ego) or self._size(ego))]
-        near = self._near if len(self.hosts) == 1 else self._near_of_all
-        for name, x, y in near(ego, position, reach_m):
+        here = libsumo.vehicle.getPosition3D(ego)
+        names, rows = [ego], [*here[:2], angle(ego), speed(ego), *(sizes.get(ego) or self._size(ego))]
+        among = libsumo.vehicle.getIDList() if len(self.hosts) == 1 else self._near_lately(here, reach_m)
+        for name, x, y in self._near(ego, here, reach_m, among):
             names.append(name)
             rows += (x, y, angle(name), speed(name), *(sizes.get(name) or self._size(name)))
         vehicles = np.fromiter(rows, np.float64).reshape(len(names), -1)
@@ -433,35 +436,31 @@ class Simulation:
             vehicles[:, 2] = 180.0 - vehicles[:, 2]
         return Scene(libsumo.simulation.getTime(), names, placing.boxes(vehicles))
 
-    def _near(self, ego: str, here: Place, reach_m: float) -> Iterator[tuple[str, float, float]]:
-        """Yield who else is within reach of a vehicle, and where, one after the other."""
-        # Getters, not a context subscription: a standing one costs half a step more on every step, and one made for a
-        # single look costs more than all the getters together.
+    @staticmethod
+    def _near(ego: str, here: Place, reach_m: float, among: Iterable[str]) -> Iterator[tuple[str, float, float]]:
+        """Yield which others among some vehicles are within reach of one, and where they are."""
         position, (here_x, here_y, here_z) = libsumo.vehicle.getPosition3D, here
-        for name in libsumo.vehicle.getIDList():
-            x, y, z = position(name)
+        for name in among:
+            try:
+                x, y, z = position(name)
+            except libsumo.TraCIException:  # it has left
+                continue
             is_near = -reach_m < x - here_x < reach_m and -reach_m < y - here_y < reach_m
             if is_near and name != ego and abs(z - here_z) < STOREY_M:
                 yield name, x, y
 
-    def _near_of_all(self, ego: str, here: Place, reach_m: float) -> Iterator[tuple[str, float, float]]:
-        """Yield the same where several look: only who was near enough a moment ago is asked where it is."""
-        now_s, position = libsumo.simulation.getTime(), libsumo.vehicle.getPosition3D
+    def _near_lately(self, here: Place, reach_m: float) -> Iterable[str]:
+        """Return who may be within reach of a place, by where all were a moment ago, which several hosts share."""
+        now_s = libsumo.simulation.getTime()
         if now_s - self._seen_at_s > SEEN_FOR_S:
             names = libsumo.vehicle.getIDList()
-            places = chain.from_iterable(map(position, names))
+            places = chain.from_iterable(map(libsumo.vehicle.getPosition3D, names))
             self._seen = names, np.fromiter(places, np.float64, 3 * len(names)).reshape(-1, 3).T.copy()
             self._seen_at_s, self._unseen = now_s, []
         names, (x, y, _) = self._seen
         within_m = reach_m + 2 * FASTEST_MPS * (now_s - self._seen_at_s)
         was_near = (np.abs(x - here[0]) < within_m) & (np.abs(y - here[1]) < within_m)
-        near_then = (names[row] for row in was_near.nonzero()[0].tolist())
-        for name in dict.fromkeys((*near_then, *self._unseen)):
-            with suppress(libsumo.TraCIException):  # it has left
-                east, north, up = position(name)
-                is_near = abs(east - here[0]) < reach_m and abs(north - here[1]) < reach_m
-                if is_near and name != ego and abs(up - here[2]) < STOREY_M:
-                    yield name, east, north
+        return dict.fromkeys((*(names[row] for row in was_near.nonzero()[0].tolist()), *self._unseen))
 
     def _size(self, name: str) -> tuple[float, float]:
         self._sizes[name] = (libsumo.vehicle.getLength(name), libsumo.vehicle.getWidth(name))
@@ -490,25 +489,28 @@ class Simulation:
 
     def _step(self) -> None:
         """Let SUMO drive one step, and note the hosts' speeds, leaders and contacts."""
-        for host in self.hosts:
-            host.drive()
-        libsumo.simulation.step()
-        for host in self.hosts:
-            host.note()
+        self._move()
+        self._note()
 
     def step(self) -> list[str]:
-        """Let SUMO drive one step, as `run` does, and return which hosts are no longer on the road."""
-        for host in self.hosts:
-            host.drive()
-        libsumo.simulation.step()
+        """Do the same where hosts may leave the road, and return which have."""
+        self._move()
         self._unseen += (*libsumo.simulation.getDepartedIDList(), *libsumo.simulation.getEndingTeleportIDList())
         gone = {*libsumo.simulation.getArrivedIDList(), *self.teleporting()}
         left = [host for host in self.hosts if host.name in gone]
         for host in left:
             self._forget(host)
+        self._note()
+        return [host.name for host in left]
+
+    def _move(self) -> None:
+        for host in self.hosts:
+            host.drive()
+        libsumo.simulation.step()
+
+    def _note(self) -> None:
         for host in self.hosts:
             host.note()
-        return [host.name for host in left]
 
     def teleporting(self) -> Sequence[str]:
         """Return who has been taken off the road in the last step, to be put on again elsewhere."""
@@ -517,7 +519,7 @@ class Simulation:
 
     def _forget(self, host: Host) -> None:
         self.hosts.remove(host)
-        del self._sees[host.name]
+        del self._sees[host.name], self._taken_over[host.name]
         self._release(host)
 
     def _hold(self, host: Host) -> None:

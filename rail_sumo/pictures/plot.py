@@ -89,36 +89,25 @@ def against_trajectories(trajectories: Sequence[int], curves: Mapping[str, Float
     Raises:
         InputError: matplotlib is not installed.
     """
-    require_matplotlib()
-    from matplotlib.figure import Figure
-
-    figure = Figure(figsize=(5.0, 3.6), layout="constrained")
-    axes = figure.subplots()
     places = np.arange(len(trajectories))
-    for at, (name, curve) in enumerate(curves.items()):
-        ratio, low, high = curve.T
-        colour, style, marker = (looks[at % len(looks)] for looks in (_COLOURS, _STYLES, _MARKERS))
-        axes.plot(places, ratio, style, marker=marker, color=colour, label=name)
-        axes.fill_between(places, low, high, color=colour, alpha=0.15, linewidth=0.0)
+    placed = {name: np.column_stack([places, curve]) for name, curve in curves.items()}
+    figure = with_bands(placed, "demonstrated trajectories", f"{what}, of the expert's", columns=2)
+    (axes,) = figure.axes
     axes.axhline(1.0, color="0.4", linewidth=0.8, zorder=0)
     beside = axes.get_yaxis_transform()  # no curve comes there
     axes.text(1.01, 1.0, "expert", transform=beside, verticalalignment="center", color="0.4", fontsize="small")
     axes.set_xticks(places, [str(n) for n in trajectories])
-    axes.set_xlabel("demonstrated trajectories")
-    axes.set_ylabel(f"{what}, of the expert's")
-    axes.grid(alpha=0.3)
-    axes.spines[["top", "right"]].set_visible(False)
-    figure.legend(loc="outside upper center", ncols=2, frameon=False)
     return figure
 
 
-def with_bands(curves: Mapping[str, Floats], across: str, what: str) -> "Figure":
+def with_bands(curves: Mapping[str, Floats], across: str, what: str, *, columns: int = 3) -> "Figure":
     """Draw means with their 95 % intervals.
 
     Args:
         curves: by name; rows of where, the mean, and the ends of its interval, NaN if it has none, shape (n, 4).
         across: what runs from left to right.
         what: what is measured.
+        columns: of the legend.
 
     Raises:
         InputError: matplotlib is not installed.
@@ -130,16 +119,14 @@ def with_bands(curves: Mapping[str, Floats], across: str, what: str) -> "Figure"
     axes = figure.subplots()
     for at, (name, curve) in enumerate(curves.items()):
         where, mean, low, high = curve.T
-        colour = _COLOURS[at % len(_COLOURS)]
-        axes.plot(
-            where, mean, _STYLES[at % len(_STYLES)], marker=_MARKERS[at % len(_MARKERS)], color=colour, label=name
-        )
+        colour, style, marker = (looks[at % len(looks)] for looks in (_COLOURS, _STYLES, _MARKERS))
+        axes.plot(where, mean, style, marker=marker, color=colour, label=name)
         axes.fill_between(where, low, high, color=colour, alpha=0.15, linewidth=0.0)
     axes.set_xlabel(across)
     axes.set_ylabel(what)
     axes.grid(alpha=0.3)
     axes.spines[["top", "right"]].set_visible(False)
-    figure.legend(loc="outside upper center", ncols=3, frameon=False)
+    figure.legend(loc="outside upper center", ncols=columns, frameon=False)
     return figure
 
 

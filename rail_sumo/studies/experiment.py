@@ -16,27 +16,23 @@ from typing import Any
 
 import numpy as np
 import pandas as pd
-import pyarrow as pa
-import pyarrow.parquet as pq
 
 from rail_sumo import drivers, rollout, run, training
 from rail_sumo.config import Config
 from rail_sumo.config_file import dumps, validate
 from rail_sumo.errors import InputError
-from rail_sumo.files import check_folder, whole_file
+from rail_sumo.files import check_folder
 from rail_sumo.highway import metrics
 from rail_sumo.policy import ARGMAX, SAMPLED
 from rail_sumo.records import EPISODE_COLUMNS, Trajectory
 from rail_sumo.rollout import EVALUATION, SILENT, Observer, Task, Who, WorkerCount, traffic_seed
 from rail_sumo.run_directory import RunDirectory
+from rail_sumo.studies import cells
 from rail_sumo.tables import report
 from rail_sumo.tables.audit import told_apart
 
 QUICK = 4
 """An experiment that is to show its shape within minutes has so many times fewer iterations."""
-
-MADE_OF = b"rail_sumo"
-"""The key of a cell's metadata that tells its configuration and the SHA-256 of the files it read."""
 
 CELL_COLUMNS = {
     "system": "string",
@@ -190,11 +186,7 @@ class _Work:
     @property
     def is_finished(self) -> bool:
         """Whether its result is there, of this configuration and these files; a key it lacks had its default."""
-        try:
-            metadata = pq.read_schema(self._file).metadata or {}
-        except (OSError, pa.ArrowException):  # not there, or damaged
-            return False
-        made_of = json.loads(metadata.get(MADE_OF, b"{}"))
+        made_of = json.loads(cells.made_of(self._file) or "{}")
         if "config" not in made_of or made_of["inputs"] != self._inputs:
             return False
         return validate(tomllib.loads(made_of["config"])) == self.config
@@ -207,10 +199,8 @@ class _Work:
     def save(self, episodes: pd.DataFrame) -> None:
         """Write the result."""
         about = {"system": self.cell.system, "trajectories": self.cell.trajectories, "training_seed": self.cell.seed}
-        table = pa.Table.from_pandas(report.typed(episodes.assign(**about), CELL_COLUMNS), preserve_index=False)
         made_of = json.dumps({"config": dumps(self.config), "inputs": self._inputs})
-        with whole_file(self._file) as partial:
-            pq.write_table(table.replace_schema_metadata({MADE_OF: made_of}), partial)
+        cells.write(self._file, report.typed(episodes.assign(**about), CELL_COLUMNS), made_of)
 
     def result(self) -> pd.DataFrame:
         """Read the result."""

@@ -6,22 +6,18 @@ finished run came to is one file under `cells/`; the same command goes on with t
 """
 
 import hashlib
-import itertools
 import json
 import math
 import pickle
 import tempfile
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from importlib.util import find_spec
 from pathlib import Path
 from typing import Any, NamedTuple
 from urllib.parse import quote
 
-import numpy as np
 import pandas as pd
-import pyarrow as pa
-import pyarrow.parquet as pq
 from rich.box import SIMPLE_HEAD
 from rich.markup import escape
 from rich.table import Table
@@ -30,59 +26,32 @@ from rail_sumo import assets, config_file, drivers, rollout, run, training
 from rail_sumo.config import Config
 from rail_sumo.errors import InputError
 from rail_sumo.files import check_folder, whole_file
-from rail_sumo.highway import fleet
-from rail_sumo.highway.agent import Agent
-from rail_sumo.highway.fleet import Fleet
-from rail_sumo.highway.network import demand
+from rail_sumo.highway.fleet import Instead, demand_of
 from rail_sumo.pictures import plot
-from rail_sumo.records import Floats
 from rail_sumo.rollout import EVALUATION, SILENT, Observer, Who, traffic_seed
-from rail_sumo.tables import report, statistics, traffic, warm_up
+from rail_sumo.studies import cells
+from rail_sumo.tables import report, traffic, warm_up
+from rail_sumo.tables.shares import (
+    AS_THEY_ARE,
+    HEADINGS,
+    MEASURED,
+    TOLD,
+    TRAFFIC_COLUMNS,
+    compared,
+    summarised,
+    told_rows,
+)
 
 SHARE = "share"
 """What is swept over, unless it is a key of the configuration."""
-ACC, AS_THEY_ARE = "acc", "sumo"
-"""SUMO's own adaptive cruise control; and the placebo: vehicles that count as driven, and are left as they are."""
-AUTO = "auto"
-SECTIONS_WITH_EFFECT, WITH_EFFECT = (
-    ("network", "traffic", "adas", "lidar", "observation"),
-    ("episode.decision_period_s",),
-)
-"""Where what changes how many vehicles drive stands: in these sections, and under this key."""
+ACC = "acc"
+"""The driver that is SUMO's own adaptive cruise control."""
+SECTIONS, PERIOD = ("network", "traffic", "adas", "lidar", "observation"), "episode.decision_period_s"
+"""What may be swept over beside the share: numbers of these sections, and this one."""
 FOUND_OVER, FOUND_WITHIN_S = 2.0, 1200.0
 """To find the warm-up the traffic is watched for so many times the period that counts, and no less long than this."""
 
 EMISSIONS = "device.emissions.probability"
-MADE_OF = b"rail_sumo"
-KEYS = {"driver": "string", "setting": "string", "share": "float64", "seed": "int64", "vehicles": "string"}
-TRAFFIC_COLUMNS = {**KEYS, **traffic.MEASURES, "undriven": "int64"}
-"""Columns of the `traffic` table: a row per driver, setting, share, seed and kind of vehicles.
-
-`setting` is the value of the key that is swept over, empty where that is the share; `undriven` is how many cars of the
-share SUMO drove all the way, since their route is too short or closed to a host, from the beginning of the run on.
-"""
-MEASURED = tuple(traffic.MEASURES)
-SUMMARY_COLUMNS = {
-    "driver": "string",
-    "setting": "string",
-    "share": "float64",
-    "vehicles": "string",
-    "measure": "string",
-    "seeds": "int64",
-    "mean": "float64",
-    "low": "float64",
-    "high": "float64",
-    "seeds_for_5_percent": "float64",
-}
-DIFFERENCE_COLUMNS = {
-    **dict(itertools.islice(SUMMARY_COLUMNS.items(), 6)),
-    "difference": "float64",
-    "difference_low": "float64",
-    "difference_high": "float64",
-    "relative": "float64",
-    "relative_low": "float64",
-    "relative_high": "float64",
-}
 
 
 @dataclass(frozen=True)
@@ -116,9 +85,9 @@ class Sweep:
         """
         self._check()
         check_folder(self.out, overwrite=True)
-        list(self._work(0.0))  # whoever is not found is not found before anybody drives
+        planned = list(self._work())  # every driver is found, or not, before the first run
         warm_up_s = self._warm_up_s() if self.warm_up_s is None else self.warm_up_s
-        work = list(self._work(warm_up_s))
+        work = [replace(one, warm_up_s=warm_up_s) for one in planned]
         self.observer.start("runs", len(work))
         driven = []
         with rollout.workers(self.workers) as pool:
@@ -161,16 +130,14 @@ class Sweep:
         if not self.duration_s >= 1.0 or math.isinf(self.duration_s):
             raise InputError(f"--duration takes seconds, at least 1; got {self.duration_s:g}")
         if self.warm_up_s is not None and not 0.0 <= self.warm_up_s < math.inf:
-            raise InputError(f"--warm-up takes seconds from 0 up, or {AUTO}; got {self.warm_up_s:g}")
+            raise InputError(f"--warm-up takes seconds from 0 up, or auto; got {self.warm_up_s:g}")
         for share in self.shares:
             if not 0.0 <= share <= 1.0:
                 raise InputError(f"a share is a number from 0 to 1; got {share:g}")
-        if self.config.varied.networks:
-            raise InputError("a share is of the cars of one demand; leave out varied.networks")
-        if self.key not in (SHARE, *WITH_EFFECT) and self.key.partition(".")[0] not in SECTIONS_WITH_EFFECT:
+        demand_of(self.config)
+        if self.key not in (SHARE, PERIOD) and self.key.partition(".")[0] not in SECTIONS:
             raise InputError(
-                f"{self.key} has no effect on a sweep; vary a number of [{'], ['.join(SECTIONS_WITH_EFFECT)}] or "
-                f"{WITH_EFFECT[0]}"
+                f"{self.key} has no effect on a sweep; vary a number of [{'], ['.join(SECTIONS)}] or {PERIOD}"
             )
         for setting in self.settings if self.key != SHARE else ():
             try:
@@ -187,25 +154,27 @@ class Sweep:
             if drivers.hands_off(name) and name != AS_THEY_ARE:
                 raise InputError(f"driver '{name}' drives one vehicle; for SUMO's own drivers take '{AS_THEY_ARE}'")
 
-    def _work(self, warm_up_s: float) -> Iterator["_Work"]:
+    def _work(self) -> Iterator["_Work"]:
+        """Yield every run; how long it warms up is not known yet."""
         shares = [share for share in self.shares if share > 0.0]
         for setting in self.settings:
             world = self._world(setting)
-            who = {name: run.find_driver(name, world) for name in self.drivers if name not in (ACC, AS_THEY_ARE)}
+            who: dict[str, Who | Instead] = {
+                name: ACC if name == ACC else run.find_driver(name, world)
+                for name in self.drivers
+                if name != AS_THEY_ARE
+            }
             if self.key.startswith(("lidar.", "observation.")):
                 for name, driver in who.items():
                     drivers.require_same_senses(driver, world, f"driver '{name}'")
             for seed in range(self.seeds):
                 one = _Work(
-                    self.out, world, AS_THEY_ARE, None, setting, 0.0, (0.0, *shares), seed, warm_up_s, self.duration_s
+                    self.out, world, AS_THEY_ARE, "nothing", setting, 0.0, (0.0, *shares), seed, self.duration_s
                 )
                 yield one
-                for name in self.drivers:
-                    if name != AS_THEY_ARE:
-                        yield from (
-                            replace(one, driver=name, who=who.get(name), share=share, shares=(share,))
-                            for share in shares
-                        )
+                for name, driver in who.items():
+                    for share in shares:
+                        yield replace(one, driver=name, who=driver, share=share, shares=(share,))
 
     def _world(self, setting: str) -> Config:
         if self.key == SHARE:
@@ -218,9 +187,8 @@ class Sweep:
         self.observer.start("warm-up", len(self.settings))
         for setting in self.settings:
             world = self._world(setting)
-            pilot = Fleet(world, 0.0, traffic_seed(0, EVALUATION, 0), "nothing")
-            begin_s, own = world.traffic.begin_s, demand.read(world.traffic)
-            last_s = own.departs_s[1] if own.has_traffic else begin_s
+            pilot = rollout.fleet_of("nothing", world, 0.0, traffic_seed(0, EVALUATION, 0))
+            begin_s, last_s = world.traffic.begin_s, demand_of(world).departs_s[1]
             watched_s = max(FOUND_OVER * self.duration_s, FOUND_WITHIN_S)
             counts = pilot.drive(min(begin_s + watched_s, max(last_s, begin_s + 1.0)))
             self.observer.advance({})
@@ -261,15 +229,15 @@ class _Work:
     """The sweep's folder."""
     world: Config
     driver: str
-    who: Who | None
-    """Who drives, as it travels to a worker; None of what SUMO drives."""
+    who: Who | Instead
+    """Who drives, as it travels to a worker, or what a vehicle of the share gets instead."""
     setting: str
     share: float
     shares: tuple[float, ...]
     """The shares that rows are made of: of vehicles as they are, all shares of the sweep, as the placebo."""
     seed: int
-    warm_up_s: float
     duration_s: float
+    warm_up_s: float = 0.0
 
     @property
     def made_of(self) -> str:
@@ -295,15 +263,9 @@ class _Work:
 
 
 def _finish(work: _Work) -> pd.DataFrame:
-    """Bring a run to its end, if it has not come to it, and return its rows; in a process of its own."""
-    try:
-        known = pq.read_schema(work.file).metadata or {}
-    except (OSError, pa.ArrowException):  # not there, or damaged
-        known = {}
-    if known.get(MADE_OF, b"").decode() != work.made_of:
-        rows = pa.Table.from_pandas(report.typed(_rows(work), TRAFFIC_COLUMNS), preserve_index=False)
-        with whole_file(work.file) as partial:
-            pq.write_table(rows.replace_schema_metadata({MADE_OF: work.made_of}), partial)
+    """Return a run's rows, after driving it unless its file is there already; in a process of its own."""
+    if cells.made_of(work.file) != work.made_of:
+        cells.write(work.file, report.typed(_rows(work), TRAFFIC_COLUMNS), work.made_of)
     return report.typed(pd.read_parquet(work.file), TRAFFIC_COLUMNS)
 
 
@@ -313,20 +275,21 @@ def _rows(work: _Work) -> pd.DataFrame:
     from_s = begin_s + work.warm_up_s
     with tempfile.TemporaryDirectory() as folder:
         reports = Path(folder)
-        driven = Fleet(_driven_in(work), work.share, seed, _driver_of(work, seed), traffic.options(reports))
+        world = _with_emissions(work.world)
+        driven = rollout.fleet_of(work.who, world, work.share, seed, traffic.options(reports))
         try:
             driven.drive(from_s + work.duration_s)
         except InputError as error:
             raise InputError(f"driver '{work.driver}', share {work.share:g}, seed {work.seed}: {error}") from None
-        run_ = traffic.Run(
+        about_run = traffic.Run(
             reports,
             from_s,
             from_s + work.duration_s,
             wishes={name: traffic.Wish(car.speed_factor, car.fastest_mps) for name, car in driven.inserted.items()},
-            lanes={name: traffic.Lane(*lane) for name, lane in driven.lanes.items()},
+            lanes=driven.lanes,
             teleported=tuple(driven.teleported),
         )
-        told = traffic.Reports(run_)
+        told = traffic.Reports(about_run)
     if driven.undriven and not driven.driven:
         raise InputError(
             f"driver '{work.driver}' could drive none of {len(driven.undriven)} cars: "
@@ -341,108 +304,10 @@ def _rows(work: _Work) -> pd.DataFrame:
     return pd.DataFrame(rows)
 
 
-def _driven_in(work: _Work) -> Config:
-    """Return the world as the driver senses it, with SUMO accounting for everybody's emissions."""
-    world = work.world.seen_with(getattr(work.who, "senses", None))
+def _with_emissions(world: Config) -> Config:
+    """Return the world with SUMO accounting for everybody's emissions, whatever its options say of them."""
     others = [option for option in world.traffic.options if not option.startswith(EMISSIONS)]
     return world.changed(traffic={"options": (*others, f"{EMISSIONS}=1")})
-
-
-def _driver_of(work: _Work, seed: int) -> Callable[[str], fleet.Decide] | fleet.Instead:
-    """Return what decides for a vehicle; each draws from a stream of its own, by its id."""
-    if work.driver == AS_THEY_ARE:
-        return "nothing"
-    if work.driver == ACC:
-        return "acc"
-    assert work.who is not None
-    who, world = work.who, work.world
-
-    def of(name: str) -> Callable[[Floats, Agent], int]:
-        return rollout.driver_of(who, world, traffic_seed(seed, *name.encode())).decide
-
-    return of
-
-
-def summarised(table: pd.DataFrame) -> pd.DataFrame:
-    """Return each measure's mean over seeds, with its 95 % interval: `SUMMARY_COLUMNS`.
-
-    `seeds_for_5_percent` is how many seeds an interval of ±5 % of the mean would take: (s t / (e x))^2.
-    """
-    rows = []
-    for about, of_seeds in table.groupby(["driver", "setting", "share", "vehicles"], sort=False):
-        told = dict(zip(("driver", "setting", "share", "vehicles"), about, strict=True))
-        for measure in MEASURED:
-            scores = of_seeds[measure].to_numpy(np.float64)
-            found = statistics.mean(scores[np.isfinite(scores)])
-            reach = (found.high - found.low) / 2 * math.sqrt(np.isfinite(scores).sum())
-            needed = math.ceil((reach / (0.05 * abs(found.value))) ** 2) if found.value and reach > 0 else math.nan
-            rows.append(
-                told
-                | {"measure": measure, "seeds": int(np.isfinite(scores).sum()), "seeds_for_5_percent": needed}
-                | {"mean": found.value, "low": found.low, "high": found.high}
-            )
-    return report.typed(rows, SUMMARY_COLUMNS)
-
-
-def compared(table: pd.DataFrame) -> pd.DataFrame:
-    """Return how measures differ from share 0, seed by seed, with 95 % intervals: `DIFFERENCE_COLUMNS`.
-
-    Driven vehicles are compared with the same vehicles as they are, and so are the others.
-    """
-    keys = ["setting", "share", "vehicles"]
-    as_they_are = table[table["driver"] == AS_THEY_ARE].set_index(keys)
-    rows = []
-    for about, of_seeds in table[table["share"] > 0.0].groupby(["driver", *keys], sort=False):
-        beside = as_they_are.loc[[about[1:]]].set_index("seed").reindex(of_seeds["seed"])
-        told = dict(zip(("driver", *keys), about, strict=True))
-        for measure in MEASURED:
-            ours, theirs = of_seeds[measure].to_numpy(np.float64), beside[measure].to_numpy(np.float64)
-            both = np.isfinite(ours) & np.isfinite(theirs)
-            differs = statistics.difference(ours[both], theirs[both])
-            ratio = statistics.ratio(ours[both], theirs[both])
-            rows.append(
-                told
-                | {"measure": measure, "seeds": int(both.sum()), "difference": differs.value}
-                | {"difference_low": differs.low, "difference_high": differs.high, "relative": ratio.value - 1}
-                | {"relative_low": ratio.low - 1, "relative_high": ratio.high - 1}
-            )
-    return report.typed(rows, DIFFERENCE_COLUMNS)
-
-
-HEADINGS = {
-    "n_vehicles": "vehicles",
-    "inserted": "vehicles inserted",
-    "arrived": "vehicles arrived",
-    "unfinished": "vehicles on the road at the end",
-    "waiting": "vehicles not yet inserted",
-    "vehkm": "vehicle kilometres",
-    "flow_vehph": "flow, vehicles an hour",
-    "density_vehpkm_lane": "density, vehicles a kilometre of lane",
-    "speed_kmh": "speed, km/h",
-    "speed_std_kmh": "standard deviation of a vehicle's speed, km/h",
-    "time_loss_s_per_km": "time loss, s a kilometre",
-    "depart_delay_s": "delay of departure, s",
-    "lane_changes_per_vehkm": "lane changes a vehicle kilometre",
-    "hard_brakings_per_vehkm": "hard brakings a vehicle kilometre",
-    "ttc_below_1_5s_per_vehkm": "times to collision below 1.5 s a vehicle kilometre",
-    "drac_above_3_4_per_vehkm": "decelerations to avoid a crash above 3.4 m/s² a vehicle kilometre",
-    "co2_g_per_vehkm": "CO2, g a vehicle kilometre",
-    "fuel_ml_per_vehkm": "fuel, ml a vehicle kilometre",
-    "collisions": "contacts",
-    "teleports": "teleports",
-}
-"""What figures call the measures."""
-TOLD = {
-    "flow_vehph": ("flow, veh/h", 0),
-    "speed_kmh": ("speed, km/h", 1),
-    "time_loss_s_per_km": ("time loss, s/km", 2),
-    "lane_changes_per_vehkm": ("lane changes / veh km", 2),
-    "hard_brakings_per_vehkm": ("hard brakings / veh km", 3),
-    "ttc_below_1_5s_per_vehkm": ("TTC < 1.5 s / veh km", 3),
-    "co2_g_per_vehkm": ("CO2, g / veh km", 1),
-    "collisions": ("contacts", 1),
-}
-"""The measures that `sweep.md` and the terminal show: heading and decimals."""
 
 
 def markdown(sweep: Sweep, tables: Tables) -> str:
@@ -455,7 +320,7 @@ def markdown(sweep: Sweep, tables: Tables) -> str:
         "",
         f"| {' | '.join(headings)} |",
         "| --- |" + " ---: |" * (len(headings) - 1),
-        *(f"| {' | '.join(cells)} |" for cells in rows),
+        *(f"| {' | '.join(row)} |" for row in rows),
     ]
     return "\n".join(lines) + "\n"
 
@@ -466,8 +331,8 @@ def shown(sweep: Sweep, tables: Tables) -> Table:
     told = Table(box=SIMPLE_HEAD, caption=_caption(sweep, tables))
     for number, heading in enumerate(headings):
         told.add_column(heading, justify="right" if number else "left", no_wrap=not number)
-    for cells in rows:
-        told.add_row(*(escape(cell).replace(" (", "\n(") for cell in cells))
+    for row in rows:
+        told.add_row(*(escape(cell).replace(" (", "\n(") for cell in row))
     return told
 
 
@@ -489,26 +354,7 @@ def _told(sweep: Sweep, tables: Tables) -> tuple[list[str], list[list[str]]]:
     rows = told_rows(tables.traffic, tables.differences)
     if sweep.key != SHARE:
         return headings, rows
-    return [headings[0], *headings[2:]], [[cells[0], *cells[2:]] for cells in rows]
-
-
-def told_rows(table: pd.DataFrame, differences: pd.DataFrame) -> list[list[str]]:
-    """Return for each driver, setting and share its cells: who, where, how many, and the measures of `TOLD`."""
-    of_all = table[(table["vehicles"] == traffic.ALL) & ((table["driver"] != AS_THEY_ARE) | (table["share"] == 0.0))]
-    changes = differences[differences["vehicles"] == traffic.ALL].set_index(["driver", "setting", "share", "measure"])
-    rows = []
-    for (driver, setting, share), of_seeds in of_all.groupby(["driver", "setting", "share"], sort=False):
-        cells = [driver if share else "as they are", setting, f"{share:.0%}"]
-        for measure, (_, decimals) in TOLD.items():
-            cell = f"{of_seeds[measure].mean():.{decimals}f}"
-            if share:
-                change = changes.loc[(driver, setting, share, measure)]
-                cell += f" ({change['difference']:+.{decimals}f}"
-                reach = (change["difference_high"] - change["difference_low"]) / 2
-                cell += f" ± {reach:.{decimals}f})" if np.isfinite(reach) else ")"
-            cells.append(cell)
-        rows.append(cells)
-    return rows
+    return [headings[0], *headings[2:]], [[row[0], *row[2:]] for row in rows]
 
 
 def shares_of(texts: Sequence[str]) -> tuple[float, ...]:

@@ -9,15 +9,15 @@ from typing import Any, NamedTuple
 import numpy as np
 import pandas as pd
 
-from rail_sumo.records import KMH
+from rail_sumo.highway import hard_braking
+from rail_sumo.highway.hard_braking import AVERAGED_STEPS, EASED_MPS2, HARD_MPS2
+from rail_sumo.records import KMH, SECONDS_PER_STEP, Lane
 
-SAMPLED_S = 0.5
-"""How often every vehicle's speed, lane and leader are noted."""
+SAMPLED_S = AVERAGED_STEPS * SECONDS_PER_STEP
+"""How often every vehicle's speed, lane and leader are noted: two samples tell the braking that may be hard."""
 LEADER_WITHIN_M = 200.0
 """How far ahead somebody counts as the leader."""
 
-# From where on it counts, and where a braking that has been counted is over.
-HARD_MPS2, EASED_MPS2 = 3.5, 0.5
 TTC_S = 1.5
 DRAC_MPS2 = 3.4
 """Deceleration to avoid a crash: (v - w)^2 / (2 gap). Archer (2005)."""
@@ -50,15 +50,6 @@ MEASURES: dict[str, str] = {
     "teleports": "int64",
 }
 """The measures, in order, with their pandas types. Their definitions are in docs/share.md."""
-
-
-class Lane(NamedTuple):
-    """A lane, or a junction's inside."""
-
-    length_m: float
-    limit_mps: float
-    is_open: bool = True
-    """Whether it is open to cars."""
 
 
 class Wish(NamedTuple):
@@ -217,7 +208,7 @@ def _samples(run: Run) -> pd.DataFrame:
     is_next = (read["id"] == read["id"].shift()) & ((read["time"] - read["time"].shift()).round(1) == SAMPLED_S)
     is_next = is_next.to_numpy()
     braking = np.where(is_next, -np.diff(speed, prepend=speed[:1]) / SAMPLED_S, 0.0)
-    read["brakes_hard"] = _begins_until_eased(braking > HARD_MPS2, braking < EASED_MPS2)
+    read["brakes_hard"] = hard_braking.beginnings(braking > HARD_MPS2, braking < EASED_MPS2)
     read["ttc_short"] = _begins(ttc < TTC_S, is_next)
     read["drac_high"] = _begins(drac > DRAC_MPS2, is_next)
     return read
@@ -227,15 +218,6 @@ def _begins(holds: np.ndarray, is_next: np.ndarray) -> np.ndarray:
     """Return where something begins to hold for a vehicle; rows of a vehicle follow one another."""
     before = np.concatenate(([False], holds[:-1])) & is_next
     return holds & ~before
-
-
-def _begins_until_eased(hard: np.ndarray, eased: np.ndarray) -> np.ndarray:
-    """Return where a hard braking begins; it counts once until it is over."""
-    begins, is_counted = np.zeros(len(hard), dtype=bool), False
-    for row in np.flatnonzero(hard | eased).tolist():
-        begins[row] = hard[row] and not is_counted
-        is_counted = (is_counted or hard[row]) and not eased[row]
-    return begins
 
 
 def _std_within(samples: pd.DataFrame) -> float:

@@ -7,16 +7,16 @@ import numpy as np
 BATCH_S = 30
 """Counts are averaged over so many seconds: signals and platoons make them swing."""
 ENOUGH = 0.95
-"""It has grown up once it is this share of what it comes to."""
+"""The road is full once it holds this share of the vehicles that it holds on average later."""
 GROWS = 1.1
-"""It still grows if the last quarter has this many times the vehicles of the quarter before."""
+"""The number still grows if it is so many times as large in the last quarter as in the quarter before."""
 
 
 def found_s(counts: Sequence[float]) -> tuple[int, bool]:
     """Return how many seconds to leave out of counts a second apart, and whether they settle.
 
-    What the number comes to is its mean over the last half. Where it still grows there, as where more vehicles come
-    than leave, half is left out.
+    "Later" is the second half. If the number still grows there, since more vehicles come than leave, the whole first
+    half is left out.
 
     Source: the rule of FHWA's Traffic Analysis Toolbox, volume III: initialization is over once the number of vehicles
     in the network has stopped growing.

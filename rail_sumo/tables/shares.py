@@ -1,0 +1,152 @@
+"""Rows of runs with a share of driven cars -> means, how they differ from share 0, and what is told of them."""
+
+import math
+
+import numpy as np
+import pandas as pd
+
+from rail_sumo.tables import report, statistics, traffic
+
+AS_THEY_ARE = "sumo"
+"""The driver of vehicles that count as driven and are left as they are: the placebo."""
+
+TRAFFIC_COLUMNS = {
+    "driver": "string",
+    "setting": "string",
+    "share": "float64",
+    "seed": "int64",
+    "vehicles": "string",
+    **traffic.MEASURES,
+    "undriven": "int64",
+}
+"""Columns of the `traffic` table: a row per driver, setting, share, seed and kind of vehicles.
+
+`setting` is the value of the key that is swept over, empty where that is the share; `undriven` is how many cars of the
+share SUMO drove all the way, since their route is too short or closed to a host, from the beginning of the run on.
+"""
+MEASURED = tuple(traffic.MEASURES)
+_OF_SEEDS = {
+    "driver": "string",
+    "setting": "string",
+    "share": "float64",
+    "vehicles": "string",
+    "measure": "string",
+    "seeds": "int64",
+}
+SUMMARY_COLUMNS = {
+    **_OF_SEEDS,
+    "mean": "float64",
+    "low": "float64",
+    "high": "float64",
+    "seeds_for_5_percent": "float64",
+}
+DIFFERENCE_COLUMNS = {
+    **_OF_SEEDS,
+    "difference": "float64",
+    "difference_low": "float64",
+    "difference_high": "float64",
+    "relative": "float64",
+    "relative_low": "float64",
+    "relative_high": "float64",
+}
+
+
+def summarised(table: pd.DataFrame) -> pd.DataFrame:
+    """Return each measure's mean over seeds, with its 95 % interval: `SUMMARY_COLUMNS`.
+
+    `seeds_for_5_percent` is how many seeds an interval of ±5 % of the mean would take: (s t / (e x))^2.
+    """
+    rows = []
+    for about, of_seeds in table.groupby(["driver", "setting", "share", "vehicles"], sort=False):
+        told = dict(zip(("driver", "setting", "share", "vehicles"), about, strict=True))
+        for measure in MEASURED:
+            scores = of_seeds[measure].to_numpy(np.float64)
+            found = statistics.mean(scores[np.isfinite(scores)])
+            reach = (found.high - found.low) / 2 * math.sqrt(np.isfinite(scores).sum())
+            needed = math.ceil((reach / (0.05 * abs(found.value))) ** 2) if found.value and reach > 0 else math.nan
+            rows.append(
+                told
+                | {"measure": measure, "seeds": int(np.isfinite(scores).sum()), "seeds_for_5_percent": needed}
+                | {"mean": found.value, "low": found.low, "high": found.high}
+            )
+    return report.typed(rows, SUMMARY_COLUMNS)
+
+
+def compared(table: pd.DataFrame) -> pd.DataFrame:
+    """Return how measures differ from share 0, seed by seed, with 95 % intervals: `DIFFERENCE_COLUMNS`.
+
+    Driven vehicles are compared with the same vehicles as they are, and so are the others.
+    """
+    keys = ["setting", "share", "vehicles"]
+    as_they_are = table[table["driver"] == AS_THEY_ARE].set_index(keys)
+    rows = []
+    for about, of_seeds in table[table["share"] > 0.0].groupby(["driver", *keys], sort=False):
+        beside = as_they_are.loc[[about[1:]]].set_index("seed").reindex(of_seeds["seed"])
+        told = dict(zip(("driver", *keys), about, strict=True))
+        for measure in MEASURED:
+            ours, theirs = of_seeds[measure].to_numpy(np.float64), beside[measure].to_numpy(np.float64)
+            both = np.isfinite(ours) & np.isfinite(theirs)
+            differs = statistics.difference(ours[both], theirs[both])
+            ratio = statistics.ratio(ours[both], theirs[both])
+            rows.append(
+                told
+                | {"measure": measure, "seeds": int(both.sum()), "difference": differs.value}
+                | {"difference_low": differs.low, "difference_high": differs.high, "relative": ratio.value - 1}
+                | {"relative_low": ratio.low - 1, "relative_high": ratio.high - 1}
+            )
+    return report.typed(rows, DIFFERENCE_COLUMNS)
+
+
+HEADINGS = {
+    "n_vehicles": "vehicles",
+    "inserted": "vehicles inserted",
+    "arrived": "vehicles arrived",
+    "unfinished": "vehicles on the road at the end",
+    "waiting": "vehicles not yet inserted",
+    "vehkm": "vehicle kilometres",
+    "flow_vehph": "flow, vehicles an hour",
+    "density_vehpkm_lane": "density, vehicles a kilometre of lane",
+    "speed_kmh": "speed, km/h",
+    "speed_std_kmh": "standard deviation of a vehicle's speed, km/h",
+    "time_loss_s_per_km": "time loss, s a kilometre",
+    "depart_delay_s": "delay of departure, s",
+    "lane_changes_per_vehkm": "lane changes a vehicle kilometre",
+    "hard_brakings_per_vehkm": "hard brakings a vehicle kilometre",
+    "ttc_below_1_5s_per_vehkm": "times to collision below 1.5 s a vehicle kilometre",
+    "drac_above_3_4_per_vehkm": "decelerations to avoid a crash above 3.4 m/s² a vehicle kilometre",
+    "co2_g_per_vehkm": "CO2, g a vehicle kilometre",
+    "fuel_ml_per_vehkm": "fuel, ml a vehicle kilometre",
+    "collisions": "contacts",
+    "teleports": "teleports",
+}
+"""What figures call the measures."""
+TOLD = {
+    "flow_vehph": ("flow, veh/h", 0),
+    "speed_kmh": ("speed, km/h", 1),
+    "time_loss_s_per_km": ("time loss, s/km", 2),
+    "lane_changes_per_vehkm": ("lane changes / veh km", 2),
+    "hard_brakings_per_vehkm": ("hard brakings / veh km", 3),
+    "ttc_below_1_5s_per_vehkm": ("TTC < 1.5 s / veh km", 3),
+    "co2_g_per_vehkm": ("CO2, g / veh km", 1),
+    "collisions": ("contacts", 1),
+}
+"""The measures that `sweep.md` and the terminal show: heading and decimals."""
+
+
+def told_rows(table: pd.DataFrame, differences: pd.DataFrame) -> list[list[str]]:
+    """Return for each driver, setting and share its cells: who, where, how many, and the measures of `TOLD`."""
+    of_all = table[(table["vehicles"] == traffic.ALL) & ((table["driver"] != AS_THEY_ARE) | (table["share"] == 0.0))]
+    changes = differences[differences["vehicles"] == traffic.ALL].set_index(["driver", "setting", "share", "measure"])
+    rows = []
+    for (driver, setting, share), of_seeds in of_all.groupby(["driver", "setting", "share"], sort=False):
+        cells = [driver if share else "as they are", setting, f"{share:.0%}"]
+        for measure, (_, decimals) in TOLD.items():
+            cell = f"{of_seeds[measure].mean():.{decimals}f}"
+            if share:
+                change = changes.loc[(driver, setting, share, measure)]
+                cell += f" ({change['difference']:+.{decimals}f}"
+                reach = (change["difference_high"] - change["difference_low"]) / 2
+                cell += f" ± {reach:.{decimals}f})" if np.isfinite(reach) else ")"
+            cells.append(cell)
+        rows.append(cells)
+    return rows
