@@ -3,6 +3,7 @@
 # Rollout workers import this module again, and `--help` is to be quick: what is slow to import (torch, pandas, SUMO)
 # is imported by the command that needs it.
 import json
+import math
 import os
 import shlex
 import sys
@@ -53,6 +54,9 @@ Seed = Annotated[int, typer.Option(min=0, help=_SEED)]
 _WORKERS, _CORES = "Processes that drive.", "as many as cores"
 Workers = Annotated[str, typer.Option(metavar="N|ray", help=_WORKERS, show_default=_CORES)]
 LocalWorkers = Annotated[str, typer.Option(metavar="N", help=_WORKERS, show_default=_CORES)]
+Mode = Annotated[
+    Literal["default", "argmax", "sampled"], typer.Option(help="How learned policies act; by default as trained.")
+]
 Overwrite = Annotated[bool, typer.Option("--overwrite", help="Replace what is there.")]
 
 
@@ -129,9 +133,7 @@ def evaluate(
     reference: Annotated[
         str | None, typer.Option(metavar="POLICY", help="The policy that ratios refer to.", show_default="expert")
     ] = None,
-    mode: Annotated[
-        Literal["default", "argmax", "sampled"], typer.Option(help="How learned policies act; by default as trained.")
-    ] = "default",
+    mode: Mode = "default",
 ) -> None:
     """Drive policies through the same held-out traffic and compare them.
 
@@ -180,6 +182,50 @@ def evaluate(
         print(f"rail-sumo: interrupted after {len(stop.tables[0])} of {stop.episodes} episodes", file=sys.stderr)
         raise typer.Exit(130) from None
     _show(tables, out)
+
+
+@app.command()
+def replay(
+    what: Annotated[
+        list[str],
+        typer.Argument(metavar="POLICY...|FCD", help="One policy, two side by side, or floating-car data of SUMO's."),
+    ],
+    network: NetworkFile = None,
+    routes: Routes = None,
+    overrides: Overrides = None,
+    seed: Seed = 0,
+    episode: Annotated[int, typer.Option(min=0, help="Its number in an evaluation with this seed.")] = 0,
+    mode: Mode = "default",
+    begin: Annotated[float | None, typer.Option(metavar="SECONDS", help="Of FCD: what is earlier is left out.")] = None,
+    end: Annotated[float | None, typer.Option(metavar="SECONDS", help="Of FCD: what is later is left out.")] = None,
+    out: Annotated[Path, typer.Option(metavar="FILE", help="The page.")] = Path("replay.html"),
+    overwrite: Overwrite = False,
+) -> None:
+    """Watch an episode of an evaluation, or any SUMO run, in a browser: one file, which needs nothing else."""
+    from rail_sumo import replay, run
+
+    if out.suffix != ".html":
+        raise InputError(f"a replay is a page, FILE.html; got '{out}'")
+    if len(what) == 1 and Path(what[0]).is_file():
+        if network is None:
+            raise InputError("floating-car data do not hold the road; name their network by --network")
+        if routes or overrides:
+            raise InputError("floating-car data are shown as they are; leave out --routes and --set")
+        replay.write_fcd(
+            Path(what[0]),
+            network,
+            out,
+            begin_s=-math.inf if begin is None else begin,
+            end_s=math.inf if end is None else end,
+            overwrite=overwrite,
+        )
+    else:
+        if begin is not None or end is not None:
+            raise InputError("--begin and --end cut floating-car data; of an episode all is shown")
+        world = run.world(what, overrides_of(network, routes, overrides))
+        who = {policy: run.find_driver(policy, world, mode) for policy in what}
+        replay.write(who, world, out, seed=seed, episode=episode, overwrite=overwrite)
+    print(f"replay in {out}; open it in a browser")
 
 
 @app.command()
