@@ -51,6 +51,7 @@ class Episode(_Section):
     course_m: Limit = 7222.0
     """How far the host drives."""
     duration_s: Annotated[float, Field(ge=SECONDS_PER_STEP)] = math.inf
+    """How long the host drives."""
     decision_period_s: Annotated[float, Field(ge=SECONDS_PER_STEP, le=2.0)] = 1.0
     """How often the supervisor decides; it also does when a lane change ends."""
 
@@ -103,11 +104,11 @@ class Traffic(_Section):
     ahead_m: Annotated[float, Field(ge=50.0, le=2000.0)] = 250.0
     """How far the window reaches ahead of the host."""
     behind_m: Annotated[float, Field(ge=50.0, le=2000.0)] = 150.0
-    """... and behind it."""
+    """How far the window reaches behind the host."""
     speed_low_kmh: Positive | LimitShare = "limit*0.7"
     """The lowest desired speed; they are drawn evenly. A share of the course's highest limit, or a number."""
     speed_high_kmh: Positive | LimitShare = "limit*0.875"
-    """The highest."""
+    """The highest desired speed, likewise."""
     lorries: Share = 0.0
     """The share of the moving window's vehicles that are lorries: 12 m long, and no faster than 90 km/h."""
     car_following: Literal["Krauss", "IDM", "EIDM", "W99"] = "Krauss"
@@ -211,6 +212,7 @@ class Adas(_Section):
     speed_step_kmh: Positive = 5.0
     """What accelerate and decelerate add to the present speed, or take from it, to get the set speed."""
     acceleration_mps2: Positive = 2.0
+    """The hardest at which the host speeds up."""
     comfort_braking_mps2: Positive = 2.0
     """For everything that is in sight in time: traffic ahead, a lower set speed, limits, signals, right of way. Behind
     traffic never more than ISO 15622 allows."""
@@ -219,7 +221,7 @@ class Adas(_Section):
     time_gap_s: Annotated[float, Field(ge=1.0, le=5.0)] = 1.0
     """The time gap that the host keeps to the vehicle ahead."""
     standstill_gap_m: Annotated[float, Field(ge=1.0, le=10.0)] = 2.0
-    """... on top of the time gap."""
+    """The gap that the host keeps at a standstill, and on top of the time gap while it drives."""
     lateral_speed_mps: Annotated[float, Field(ge=0.5, le=3.0)] = 1.7
     """Sideways, while changing lanes."""
 
@@ -286,8 +288,11 @@ class Cloning(_Section):
     epochs: Annotated[int, Field(ge=0)] = 100
     """How often all demonstrations are gone through."""
     batch_size: Count = 256
+    """Decisions in a minibatch."""
     learning_rate: Positive = 1e-3
+    """Adam's."""
     weight_decay: NonNegative = 1e-4
+    """The weight of the parameters' squares in the loss (L2)."""
 
 
 class Search(_Section):
@@ -298,7 +303,7 @@ class Search(_Section):
     n_top: Count | Literal["all"] = "all"
     """b: only the best so many directions count, by the better return of either way."""
     step_size: Positive = 0.05
-    """alpha."""
+    """alpha: how far an iteration moves the parameters."""
     noise_std: Positive = 0.1
     """nu. Too small, and traffic's noise hides what a perturbation does; too large, and it is a different driver."""
 
@@ -323,6 +328,7 @@ class Judge(_Section):
     """What it minimises: least-squares, cross-entropy, or one from outside, written module:attribute (a
     `rail_sumo.imitation.losses.Loss`)."""
     learning_rate: Positive = 3e-4
+    """Adam's."""
     minibatches: Count = 10
     """For every iteration. With many more it learns its demonstrations by heart."""
     batch_size: Count = 512
@@ -347,7 +353,9 @@ class Gail(_Section):
     critic_hidden: tuple[Count, ...] = (64, 64)
     """Units of each of the critic's hidden layers."""
     learning_rate: Positive = 3e-4
+    """Adam's, of policy and critic."""
     batch_size: Annotated[int, Field(ge=2)] = 1024
+    """Decisions in a minibatch."""
     epochs: Count = 10
     """How often an iteration's decisions are gone through."""
     discount: Annotated[float, Field(gt=0.0, lt=1.0)] = 0.99
@@ -407,17 +415,24 @@ class Expert(_Section):
     horizon_s: Positive = 300.0
     """Length of one training episode."""
     hidden: tuple[Count, ...] = (128, 128)
+    """Units of each hidden layer."""
     learning_rate: Positive = 4e-4
     """Falls evenly over the training, towards 0."""
     discount: Annotated[float, Field(gt=0.0, lt=1.0)] = 0.995
+    """gamma, per decision."""
     decisions_per_update: Count = 2048
+    """How many are driven before each update; a multiple of `batch_size`."""
     batch_size: Annotated[int, Field(ge=2)] = 64
+    """Decisions in a minibatch."""
     epochs: Count = 10
+    """How often an update goes through its decisions."""
     entropy: NonNegative = 0.0
+    """What the policy's entropy weighs in the loss."""
     begins_as_rule: Annotated[int, Field(ge=0)] = 0
     """So many episodes of the rule driver are cloned before PPO begins; 0 for a fresh network. Then the critic alone
     learns for `critic_first` updates, before the policy moves away from what was cloned."""
     critic_first: Annotated[int, Field(ge=0)] = 0
+    """For how many updates the critic alone learns, after a beginning as the rule driver."""
 
     @property
     def updates(self) -> int:
