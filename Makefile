@@ -1,4 +1,4 @@
-# `make train` and `make test` set everything up themselves, in .venv, on a machine with Python 3.11 or later.
+# `make train`, `make test` and `make docs` set everything up themselves, in .venv, on a machine with Python 3.11 or later.
 # ARGS goes to the command: make train ARGS="--seed 3 --set train.iterations=10"
 PYTHON ?= python3
 VENV ?= .venv
@@ -8,7 +8,7 @@ ARGS ?=
 BIN = $(VENV)/bin
 NETWORKS = $(patsubst %,networks/%.net.xml,arterial highway2 highway3 highway4 highway5 highway6 lane_drop onramp ring5)
 
-.PHONY: setup train test lint networks clean
+.PHONY: setup train test lint docs networks clean
 
 setup: $(VENV)/installed
 
@@ -24,6 +24,11 @@ lint: setup
 	$(BIN)/ruff format --check .
 	$(BIN)/mypy
 	$(BIN)/lint-imports
+
+# The site, in build/docs. A broken link, a name that is not there and an example that fails are errors.
+docs: $(VENV)/sphinx
+	$(BIN)/python -m sphinx --builder html --fail-on-warning --keep-going --fresh-env --quiet $(ARGS) docs build/docs
+	@echo "the site is in build/docs/index.html"
 
 # Rebuild the committed networks from their sources. The header that netconvert writes (a date, absolute paths) is cut.
 networks: $(VENV)/netconvert
@@ -42,6 +47,10 @@ $(VENV)/installed: pyproject.toml constraints.txt
 	$(PYTHON) -m venv $(VENV)
 	$(BIN)/python -m pip install --quiet -c constraints.txt --upgrade pip
 	$(BIN)/python -m pip install --quiet -c constraints.txt --group dev -e .
+	touch $@
+
+$(VENV)/sphinx: $(VENV)/installed
+	$(BIN)/python -m pip install --quiet -c constraints.txt -e ".[docs]"
 	touch $@
 
 $(VENV)/netconvert: $(VENV)/installed

@@ -5,7 +5,6 @@ from pathlib import Path
 
 import claims
 import pandas as pd
-import pytest
 
 from rail_sumo.studies import reproduce
 from rail_sumo.studies.experiment import SYSTEMS
@@ -20,11 +19,9 @@ def test_the_table_kept_is_what_the_cells_come_to(tmp_path):
     assert (tmp_path / "table1.md").read_text() == (ROOT / "docs" / "data" / "table1.md").read_text()
 
 
-def test_the_readmes_table_is_that_of_the_cells():
+def test_the_table_of_results_is_that_of_the_cells():
     measured = claims.ratios(reproduce.read_cells(CELLS)).set_index(["", "mode", "shown"])
-    told = re.findall(
-        r"^\| ([^|]+) \| (argmax|sampled|)\s*\| (\d+) \| (\d+) \| (.*) \|$", readme_section(), re.MULTILINE
-    )
+    told = re.findall(r"^\| ([^|]+) \| (argmax|sampled|)\s*\| (\d+) \| (\d+) \| (.*) \|$", results(), re.MULTILINE)
     assert len(told) > 5
     for label, mode, shown, trainings, figures in told:
         row = measured.loc[(label, mode, int(shown))]
@@ -33,9 +30,9 @@ def test_the_readmes_table_is_that_of_the_cells():
         assert row["seeds"] == int(trainings)
 
 
-def readme_section():
-    text = (ROOT / "README.md").read_text(encoding="utf-8")
-    return text.partition("## How far it gets")[2].partition("\n## ")[0]
+def results():
+    text = (ROOT / "docs" / "learners.md").read_text(encoding="utf-8")
+    return text.partition("## Results")[2].partition("\n## ")[0]
 
 
 def test_no_driver_but_sumos_own_hit_anything_or_was_hit_and_who_is_masked_is_never_refused():
@@ -45,15 +42,6 @@ def test_no_driver_but_sumos_own_hit_anything_or_was_hit_and_who_is_masked_is_ne
     masked = ours[[not SYSTEMS[name].label.endswith("unmasked") for name in ours["system"]]]
     assert len(masked) > 1000
     assert not masked["refused_decisions"].any()
-
-
-@pytest.mark.parametrize(
-    "document", ["README.md", "docs/paper.md", "docs/reproduce.md", "docs/learning.md", "docs/roads.md"]
-)
-def test_files_that_documents_name_are_there(document):
-    folder = (ROOT / document).parent
-    for link in re.findall(r"\]\(([^)#:]+)(?:#[^)]*)?\)", (ROOT / document).read_text(encoding="utf-8")):
-        assert (folder / link).exists(), link
 
 
 def test_the_table_of_the_study_of_shares_is_what_its_runs_come_to():

@@ -4,6 +4,7 @@ import os
 import re
 import subprocess
 import sys
+from importlib import import_module
 from pathlib import Path
 
 import numpy as np
@@ -15,7 +16,7 @@ from rail_sumo import registry, training
 from rail_sumo.config_file import load
 from rail_sumo.errors import InputError
 from rail_sumo.imitation.losses import LOSSES
-from rail_sumo.records import MetaAction
+from rail_sumo.records import MetaAction, Scene
 from rail_sumo.run_directory import RunDirectory
 
 DOCUMENT = Path(__file__).parent.parent.joinpath("docs", "extending.md").read_text(encoding="utf-8")
@@ -31,16 +32,51 @@ def shown(tmp_path):
 
 
 def run(folder, *command):
-    environment = os.environ | {"PYTHONPATH": str(folder)}
+    environment = os.environ | {"PYTHONPATH": os.pathsep.join([str(folder), *filter(None, sys.path)])}
     finished = subprocess.run(
         [sys.executable, *command], cwd=folder, env=environment, capture_output=True, text=True, check=False
     )
     assert finished.returncode == 0, finished.stderr
+    return finished.stdout
 
 
 def rail_sumo(folder, command, *more):
     brief = [part for override in BRIEF for part in ("--set", override)]
     run(folder, "-c", "from rail_sumo import cli; cli.main()", *command.split(), *brief, *more)
+
+
+@pytest.mark.slow
+def test_the_driver_shown_drives_in_workers_and_keeps_to_the_right(shown):
+    folder, _ = shown
+    file = folder / "courteous.py"
+    file.write_text(file.read_text().replace("config_file.load()", 'config_file.load(None, ["episode.duration_s=60"])'))
+    rows = [line.split() for line in run(folder, "courteous.py").splitlines()[1:]]
+    means = {(policy, metric): float(mean) for policy, metric, mean, _ in rows}
+    assert means["courteous", "speed_kmh"] > 50.0
+    assert means["courteous", "lane_changes"] > means["rule", "lane_changes"]  # it goes back each time
+    assert means["courteous", "refused_decisions"] == 0.0
+
+
+def test_the_radar_shown_finds_the_nearest_ahead(shown, monkeypatch):
+    folder, _ = shown
+    monkeypatch.syspath_prepend(folder)
+    radar = import_module("radar").radar
+    # A host at 20 m/s heads north. 40 m and 90 m ahead, 12 m to its right and 20 m behind it a car; all 5 m long.
+    places = np.array([[0.0, 0.0], [0.0, 40.0], [1.0, 90.0], [12.0, 20.0], [0.0, -20.0]])
+    scene = Scene(
+        0.0, list("habcd"), np.array([*places.T, [np.pi / 2] * 5, [20.0, 15.0, 9.0, 9.0, 9.0], [5.0] * 5, [1.8] * 5])
+    )
+    assert radar(scene) == pytest.approx([35.0, -5.0])
+    assert radar(scene, range_m=30.0) == pytest.approx([30.0, 0.0])
+    assert radar(scene, half_angle_rad=0.6, range_m=30.0) == pytest.approx([15.0, -11.0])
+
+
+@pytest.mark.slow
+def test_the_radar_shown_is_added_to_the_observation(shown):
+    folder, _ = shown
+    distance_m, closing_mps = map(float, run(folder, "radar.py").strip(" [\n]").split())
+    assert 0.0 < distance_m <= 150.0
+    assert abs(closing_mps) < 20.0
 
 
 @pytest.mark.slow

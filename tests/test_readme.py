@@ -1,28 +1,37 @@
-"""What README shows is run as it stands, only shorter."""
+"""What README and the pages for newcomers show is run as it stands, only shorter."""
 
+import io
 import re
 import subprocess
 import sys
 from pathlib import Path
+from textwrap import dedent
 
+import numpy as np
+import pandas as pd
 import pytest
+from rich.console import Console
 
 from rail_sumo import config, config_file
+from rail_sumo.records import METRICS, SUMMARY_COLUMNS
+from rail_sumo.tables import report
 
-README = Path(__file__).parent.parent.joinpath("README.md").read_text(encoding="utf-8")
+ROOT = Path(__file__).parent.parent
+README = (ROOT / "README.md").read_text(encoding="utf-8")
 LONG_AND_SHORT = {
     '"train.iterations=20"': '"train.iterations=1", "search.n_directions=2", "train.evaluation_episodes=1"',
     "episodes=16": "episodes=2",
-    "runs/mine": "runs/linear",
 }
 
 
-def shown(language):
-    return re.findall(rf"```{language}\n(.*?)```", README, re.DOTALL)
+def shown(page, language):
+    text = (ROOT / page).read_text(encoding="utf-8")
+    return [dedent(block) for block in re.findall(rf"^ *```{language}\n(.*?)^ *```", text, re.DOTALL | re.MULTILINE)]
 
 
 def shortened(text):
     for long, short in LONG_AND_SHORT.items():
+        assert long in text
         text = text.replace(long, short)
     return text
 
@@ -34,8 +43,41 @@ def run(folder, *command):
     return finished.stdout
 
 
+def test_a_newcomer_reads_it_in_three_minutes():
+    assert len(README.splitlines()) <= 150
+
+
+TOLD = ("speed_kmh", "overtakes", "lane_changes")
+ALONE = ("refused_decisions", "overtaken", "hard_brakings")
+
+
+def test_the_table_shown_is_what_the_command_prints_of_such_figures():
+    """Of the figures in README's table, `report.table` makes README's table, to the last space."""
+    (shown_table,) = re.findall(r"```\n( +speed.*?)\ntables in runs/first\n```", README, re.DOTALL)
+    name, number = r"^  (\w[\w, ]*?)  ", r" ±? *([\d.]+)"
+    of_policies = re.findall(name + number * 10 + r"\n(?: {8,}(\d.*))?", shown_table, re.MULTILINE)
+    assert [policy for policy, *_ in of_policies] == ["rail", "clone, argmax", "clone, sampled", "expert"]
+    rows = []
+    for policy, *figures, ratios in of_policies:
+        values = [float(figure) for figure in figures]
+        beside = [float(figure) for figure in re.findall(r"[\d.]+", ratios)] or [np.nan] * 6
+        of_metric = dict.fromkeys(METRICS, (0.0, np.nan, np.nan, np.nan))
+        of_metric |= {metric: (*values[2 * n : 2 * n + 2], *beside[2 * n : 2 * n + 2]) for n, metric in enumerate(TOLD)}
+        of_metric |= {metric: (values[6 + n], np.nan, np.nan, np.nan) for n, metric in enumerate(ALONE)}
+        for metric, (mean, reach, ratio, ratio_reach) in of_metric.items():
+            rows.append(
+                {"policy": policy, "metric": metric, "episodes": 16, "reference": "expert", "mean": mean}
+                | {"low": mean - reach, "high": mean + reach, "ratio": ratio}
+                | {"ratio_low": ratio - ratio_reach, "ratio_high": ratio + ratio_reach}
+            )
+    console = Console(width=report.WIDE, file=io.StringIO())
+    console.print(report.table(report.typed(rows, SUMMARY_COLUMNS), width=report.WIDE))
+    printed = "\n".join(line.rstrip() for line in console.file.getvalue().splitlines()).strip("\n")
+    assert printed == shown_table
+
+
 def test_the_configuration_shown_is_one_and_changes_what_it_names(tmp_path):
-    (text,) = shown("toml")
+    (text,) = shown("docs/start.md", "toml")
     (tmp_path / "mine.toml").write_text(text, encoding="utf-8")
     chosen, default = config_file.load(tmp_path / "mine.toml").flat(), config.Config().flat()
     assert {key: value for key, value in chosen.items() if value != default[key]} == {
@@ -46,13 +88,17 @@ def test_the_configuration_shown_is_one_and_changes_what_it_names(tmp_path):
 
 @pytest.mark.slow
 def test_the_python_shown_runs_in_an_empty_folder(tmp_path):
-    training, environment, floating_car_data = map(shortened, shown("python"))
-    (tmp_path / "training.py").write_text(training, encoding="utf-8")
+    (training,) = shown("docs/start.md", "python")
+    (environment,) = shown("README.md", "python")
+    (floating_car_data,) = shown("docs/watch.md", "python")
+    (tmp_path / "training.py").write_text(shortened(training), encoding="utf-8")
     speeds = run(tmp_path, "training.py")
     assert [line.split()[0] for line in speeds.splitlines()[1:]] == ["runs/linear", "expert", "rule"]
-    run(tmp_path, "-c", environment)
+    assert "(48,)" in run(tmp_path, "-c", environment + "print(observation.shape)\n")
     (command,) = re.findall(r"# rail-sumo (eval .*)", floating_car_data)
     run(tmp_path, "-c", "from rail_sumo import cli; cli.main()", *command.split(), "--episodes", "1")
     by_lane = run(tmp_path, "-c", floating_car_data)
     assert {"runs/linear", "rule"} <= set(by_lane.split())
     assert "highway_2" in by_lane  # the lane in the middle, where neither can help driving
+    fcd = pd.read_parquet(tmp_path / "judged" / "fcd")
+    assert fcd.loc[fcd["vehicle_id"].isna(), "vehicle_x"].isna().all()  # the rows without a vehicle

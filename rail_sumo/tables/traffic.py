@@ -49,7 +49,7 @@ MEASURES: dict[str, str] = {
     "collisions": "int64",
     "teleports": "int64",
 }
-"""The measures, in order, with their pandas types. Their definitions are in docs/share.md."""
+"""The measures, in order, with their pandas types. Their definitions are in docs/measures.md."""
 
 
 class Wish(NamedTuple):

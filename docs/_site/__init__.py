@@ -1,0 +1,1 @@
+"""What Sphinx needs beside its own: reference pages from the code, pictures and formulas without a network."""
