@@ -19,6 +19,7 @@ extensions = [
     "_site.generated",
     "_site.drawn",
     "_site.formulas",
+    "_site.tables",
 ]
 exclude_patterns = ["_site", "data", "figures"]
 root_doc = "index"

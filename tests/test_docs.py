@@ -19,6 +19,7 @@ PAGES = {
     if page.parent.name != "data"
 }
 FILES = {"csv", "html", "parquet", "py", "safetensors", "toml"}
+KEY = r"^`(\w+\.\w+)`\n: (.*)\n: (.*)$"
 OF_TYPER = {"--install-completion"}
 COMMAND = typer.main.get_command(cli.app)
 
@@ -56,17 +57,18 @@ def test_every_command_with_every_option_is_in_the_reference():
 
 
 def test_every_key_is_in_the_reference_with_its_meaning_range_and_default():
-    described = dict(re.findall(r"^`(\w+\.\w+)`\n: (.*)$", reference.keys(), re.MULTILINE))
+    described = {key: (meaning, rest) for key, meaning, rest in re.findall(KEY, reference.keys(), re.MULTILINE)}
     assert described.keys() == Config().flat().keys()
-    for key, text in described.items():
+    for key, (meaning, _) in described.items():
         section, _, name = key.partition(".")
         about = type(getattr(Config(), section)).model_fields[name]
         assert about.description, f"{key} has no meaning"
-        assert text.startswith(" ".join(about.description.split()))
-    assert described["lidar.n_rays"].endswith("Whole number from 1 up to 720; default `24`.")
-    assert described["policy.layers"].endswith("`1` or `2`; default `2`.")
-    assert described["varied.lorries"].endswith(
-        "A range `[lowest, highest]`; number from 0 up to 1; default `[ 0.0, 0.3, ]`."
+        assert meaning.lower() == " ".join(about.description.split()).lower()
+    assert described["lidar.n_rays"][1] == "Whole number from 1 up to 720. Default: `24`."
+    assert described["policy.layers"][1] == "`1` or `2`. Default: `2`."
+    assert (
+        described["varied.lorries"][1]
+        == "A range `[lowest, highest]`; number from 0 up to 1. Default: `[ 0.0, 0.3, ]`."
     )
 
 

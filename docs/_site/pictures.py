@@ -11,8 +11,10 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.patches import FancyBboxPatch, Rectangle
 
-from rail_sumo.highway import hard_braking
-from rail_sumo.records import SECONDS_PER_STEP
+from rail_sumo.config import Adas
+from rail_sumo.highway import acc, hard_braking
+from rail_sumo.highway.acc import Leader
+from rail_sumo.records import KMH, SECONDS_PER_STEP
 
 INK, FAINT = "#7a858d", "#b3bcc2"  # readable on white and on black
 HOST, OTHER = "#d55e00", "#0072b2"  # Okabe & Ito's vermilion and blue
@@ -125,6 +127,20 @@ def _edie() -> Figure:
     return figure
 
 
+def _following() -> Figure:
+    figure = Figure(figsize=(6.0, 2.9))
+    axes = figure.subplots()
+    gaps_m = np.linspace(2.0, 250.0, 500)
+    for leader_mps, colour in ((0.0, HOST), (20.0, OTHER)):
+        allowed = [acc.allowed_mps(Leader(gap_m, leader_mps), Adas()) for gap_m in gaps_m]
+        axes.plot(gaps_m, np.array(allowed) * KMH, color=colour, linewidth=2.0)
+        label = "leader stands" if leader_mps == 0.0 else f"leader at {leader_mps * KMH:.0f} km/h"
+        axes.text(gaps_m[-1] + 3.0, allowed[-1] * KMH, label, color=colour, verticalalignment="center")
+    axes.set(xlabel="gap from bumper to bumper, m", ylabel="speed allowed, km/h", xlim=(0.0, 250.0), ylim=(0.0, 145.0))
+    axes.spines[["top", "right"]].set_visible(False)
+    return figure
+
+
 def _plain(figure: Figure) -> Axes:
     axes = figure.add_axes((0.0, 0.0, 1.0, 1.0))
     axes.set_axis_off()
@@ -146,4 +162,5 @@ PICTURES: dict[str, Callable[[], Figure]] = {
     "ttc": _ttc,
     "braking": _braking,
     "edie": _edie,
+    "following": _following,
 }

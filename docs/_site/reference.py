@@ -139,7 +139,7 @@ def keys() -> str:
             meaning = " ".join((about.description or "").split())
             rows.append(
                 _defined(
-                    f"{name}.{key}", meaning, f"{_allowed(schema['properties'][key])}; default {_literal(default)}."
+                    f"{name}.{key}", meaning, f"{_allowed(schema['properties'][key])}. Default: {_literal(default)}."
                 )
             )
         parts += [f"## `[{name}]`", section.__doc__ or "", *rows]
@@ -191,7 +191,7 @@ def columns() -> str:
 def _defined(name: str, meaning: str, more: str) -> str:
     """Return an entry of a definition list."""
     meaning = " ".join(meaning.split())
-    return f"`{name}`\n: {meaning}{' ' if meaning and more else ''}{more[:1].upper()}{more[1:]}"
+    return "\n".join([f"`{name}`", *(f": {text[:1].upper()}{text[1:]}" for text in (meaning, more) if text)])
 
 
 def _literal(text: str) -> str:
