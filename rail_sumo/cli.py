@@ -140,7 +140,6 @@ def evaluate(
     The world is that of the first run directory among the policies, or the default, changed by the options.
     """
     from rail_sumo import run
-    from rail_sumo.tables import report
 
     if out:
         files.check_folder(out, overwrite=overwrite, instead=", or replace its tables with --overwrite")
@@ -170,16 +169,16 @@ def evaluate(
             if out and fcd:
                 with files.whole_folder(out, overwrite=overwrite) as whole:
                     tables = drive(fcd=whole / FCD)
-                    report.save(whole, episodes=tables[0], summary=tables[1])
+                    tables.save(whole)
             else:
                 tables = drive()
                 if out:
-                    report.write(out, episodes=tables[0], summary=tables[1], overwrite=overwrite)
+                    tables.write(out, overwrite=overwrite)
     except run.Interrupted as stop:
         if out:
-            report.write(out, episodes=stop.tables[0], summary=stop.tables[1], overwrite=overwrite)
+            stop.tables.write(out, overwrite=overwrite)
         _show(stop.tables, out)
-        print(f"rail-sumo: interrupted after {len(stop.tables[0])} of {stop.episodes} episodes", file=sys.stderr)
+        print(f"rail-sumo: interrupted after {len(stop.tables.episodes)} of {stop.episodes} episodes", file=sys.stderr)
         raise typer.Exit(130) from None
     _show(tables, out)
 
@@ -574,6 +573,6 @@ def _show(tables: "Tables", out: Path | None) -> None:
     from rail_sumo.tables import report
 
     console = Console() if sys.stdout.isatty() else Console(width=100)
-    console.print(report.table(tables[1], width=console.width))
+    console.print(report.table(tables.summary, width=console.width))
     if out:
         console.print(f"tables in {escape(str(out))}", soft_wrap=True)

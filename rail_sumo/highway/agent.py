@@ -94,6 +94,8 @@ class Agent:
         self._decisions: list[int] = []
         self._carried_out: list[int] = []
         self._allowed: list[list[bool]] = []
+        self._decision_step: list[int] = []
+        self._decision_place: list[tuple[float, float, float]] = []
         self._lane_changing: list[bool] = []
         self._limits_mps: list[float] = []
 
@@ -172,6 +174,9 @@ class Agent:
             self._decisions.append(action)
             self._carried_out.append(carried_out)
             self._allowed.append(self.mask if self._is_told else ALL_ALLOWED)
+            self._decision_step.append(self.n_steps)
+            x_m, y_m = self.scene.boxes[:2, 0].tolist()
+            self._decision_place.append((self.host.travelled_m, x_m, -y_m if self.stretch.road.is_left_hand else y_m))
         self._mask, self._is_told = None, False
         self._left = min(self._period_steps, self._duration_steps - self.n_steps)
 
@@ -231,6 +236,8 @@ class Agent:
             decisions=np.array(self._decisions, dtype=np.int64),
             carried_out=np.array(self._carried_out, dtype=np.int64),
             allowed=np.array(self._allowed, dtype=np.bool_),
+            decision_step=np.array(self._decision_step, dtype=np.int64),
+            decision_place=np.array(self._decision_place),
             speed_mps=np.array(host.speeds_mps),
             distance_m=host.travelled_m,
             limit_mps=np.array(self._limits_mps),
