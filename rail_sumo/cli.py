@@ -46,8 +46,8 @@ Overrides = Annotated[
 _NETWORK = "A .net.xml, a .sumocfg with its demand, or a shipped network's name."
 NetworkFile = Annotated[str | None, typer.Option(metavar="FILE", help=_NETWORK)]
 Routes = Annotated[list[str] | None, typer.Option(metavar="FILE", help="Your own demand; repeatable.")]
-FCD = "fcd"
-"""The folder of the floating-car data beside the tables."""
+FCD, REPLAYS = "fcd", "replays"
+"""The folders of the floating-car data, and of pages to watch, beside the tables."""
 _POLICY = "A run, an expert's folder, or expert, rail, road-expert, road-rail, rule, sumo, sumo:TYPE, keep or random."
 _SEED = "Everything random follows from it."
 Seed = Annotated[int, typer.Option(min=0, help=_SEED)]
@@ -130,6 +130,9 @@ def evaluate(
     out: Annotated[Path | None, typer.Option(help="Folder for the tables, as CSV and Parquet.")] = None,
     overwrite: Overwrite = False,
     fcd: Annotated[bool, typer.Option("--fcd", help="Also SUMO's floating-car data of every episode.")] = False,
+    replays: Annotated[
+        int, typer.Option("--replay", min=0, metavar="N", help="Also the N most telling episodes, as pages to watch.")
+    ] = 0,
     reference: Annotated[
         str | None, typer.Option(metavar="POLICY", help="The policy that ratios refer to.", show_default="expert")
     ] = None,
@@ -139,16 +142,17 @@ def evaluate(
 
     The world is that of the first run directory among the policies, or the default, changed by the options.
     """
-    from rail_sumo import run
+    from rail_sumo import replay, run
 
     if out:
         files.check_folder(out, overwrite=overwrite, instead=", or replace its tables with --overwrite")
-        if (out / FCD).exists() and not fcd:
-            raise InputError(
-                f"'{out / FCD}' is of other drives than these; replace it by --fcd, or choose another --out"
-            )
-    elif fcd:
-        raise InputError("--fcd writes into the folder of --out; name one")
+        for folder, option, is_asked in ((FCD, "--fcd", fcd), (REPLAYS, "--replay", replays)):
+            if (out / folder).exists() and not is_asked:
+                raise InputError(
+                    f"'{out / folder}' is of other drives than these; replace it by {option}, or choose another --out"
+                )
+    elif fcd or replays:
+        raise InputError(f"{'--fcd' if fcd else '--replay'} writes into the folder of --out; name one")
     if reference and reference not in policies:
         raise InputError(f"--reference {reference} is not among the policies: {', '.join(policies)}; name it there too")
     n_workers = _workers(workers)
@@ -166,14 +170,22 @@ def evaluate(
                 observer=bars,
                 reference=reference or "expert",
             )
-            if out and fcd:
+
+            def keep(tables: "Tables", whole: Path) -> None:
+                tables.save(whole)
+                if replays:
+                    replay.write_most_telling(tables.episodes, who, world, whole / REPLAYS, seed=seed, number=replays)
+
+            if out is None:
+                tables = drive()
+            elif fcd:
                 with files.whole_folder(out, overwrite=overwrite) as whole:
                     tables = drive(fcd=whole / FCD)
-                    tables.save(whole)
+                    keep(tables, whole)
             else:
                 tables = drive()
-                if out:
-                    tables.write(out, overwrite=overwrite)
+                with files.whole_folder(out, overwrite=overwrite) as whole:
+                    keep(tables, whole)
     except run.Interrupted as stop:
         if out:
             stop.tables.write(out, overwrite=overwrite)

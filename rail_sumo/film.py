@@ -36,8 +36,8 @@ class Lane:
     is_inside: bool
     """Whether it is of a junction's inside."""
     left_line: Literal["none", "dashed", "solid"]
-    """What is painted between it and the lane of its edge to its left as one drives, "none" where there is none;
-    "solid" where nobody may change over."""
+    """What is painted between it and the next lane of its edge from the kerb on, "none" where there is none; "solid"
+    where nobody may change over."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -64,6 +64,8 @@ class Ground:
     stop_lines: tuple[StopLine, ...]
     name: str
     """The network's."""
+    is_left_hand: bool = False
+    """Whether it is driven on the left: then the next lane from the kerb on is to the right."""
 
 
 @dataclass(frozen=True, slots=True)

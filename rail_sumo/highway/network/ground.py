@@ -1,5 +1,6 @@
 """The network as it is drawn: lanes, junctions and stop lines near where somebody has driven."""
 
+import itertools
 from collections.abc import Iterable, Iterator
 from typing import Any, Literal
 
@@ -35,7 +36,7 @@ def near(file: str, x_m: Floats, y_m: Floats) -> Ground:
     cells = _cells_near(x_m, y_m)
     seen = [edge for edge in net.getEdges(withInternal=True) if _touches(_box(_shapes(edge)), cells)]
     return Ground(
-        lanes=tuple(_lanes(seen, is_left_hand=reader.is_left_hand)),
+        lanes=tuple(_lanes(seen)),
         junctions=tuple(
             np.array(node.getShape())
             for node in net.getNodes()
@@ -43,6 +44,7 @@ def near(file: str, x_m: Floats, y_m: Floats) -> Ground:
         ),
         stop_lines=tuple(_stop_lines(seen)),
         name=assets.network_name(file),
+        is_left_hand=reader.is_left_hand,
     )
 
 
@@ -66,18 +68,16 @@ def _box(shapes: Iterable[Any]) -> Box:
     return *points.min(axis=0).tolist(), *points.max(axis=0).tolist()
 
 
-def _lanes(edges: Iterable[Any], *, is_left_hand: bool) -> Iterator[Lane]:
+def _lanes(edges: Iterable[Any]) -> Iterator[Lane]:
     for edge in edges:
-        lanes = edge.getLanes()  # from the kerb, on whichever side that is
-        for lane in lanes:
-            to_its_left = lane.getIndex() + (-1 if is_left_hand else 1)
+        for lane, beside in itertools.zip_longest(edge.getLanes(), edge.getLanes()[1:]):  # from the kerb
             yield Lane(
                 lane.getID(),
                 np.array(lane.getShape()),
                 lane.getWidth(),
                 is_open=lane.allows(CAR),
                 is_inside=edge.isSpecial(),
-                left_line=_line(lane, lanes[to_its_left]) if 0 <= to_its_left < len(lanes) else "none",
+                left_line="none" if beside is None else _line(lane, beside),
             )
 
 
@@ -86,8 +86,7 @@ def _line(lane: Any, beside: Any) -> Literal["none", "dashed", "solid"]:
         return "none"
     if not (lane.allows(CAR) and beside.allows(CAR)):
         return "solid"
-    inner, outer = sorted((lane, beside), key=lambda one: one.getIndex())
-    return "dashed" if may_cross(inner, CHANGE_LEFT, CAR) or may_cross(outer, CHANGE_RIGHT, CAR) else "solid"
+    return "dashed" if may_cross(lane, CHANGE_LEFT, CAR) or may_cross(beside, CHANGE_RIGHT, CAR) else "solid"
 
 
 def _stop_lines(edges: Iterable[Any]) -> Iterator[StopLine]:
