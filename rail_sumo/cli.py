@@ -158,6 +158,13 @@ def evaluate(
     n_workers = _workers(workers)
     world = run.world(policies, overrides_of(network, routes, overrides))
     who = {policy: run.find_driver(policy, world, mode) for policy in policies}
+
+    def keep(tables: "Tables", whole: Path, n_replays: int) -> None:
+        tables.save(whole)
+        run.describe(whole, world, shlex.join(["rail-sumo", *sys.argv[1:]]), seed=seed)
+        if n_replays:
+            replay.write_most_telling(tables.episodes, who, world, whole / REPLAYS, seed=seed, number=n_replays)
+
     try:
         with _bars() as bars:
             drive = partial(
@@ -170,25 +177,20 @@ def evaluate(
                 observer=bars,
                 reference=reference or "expert",
             )
-
-            def keep(tables: "Tables", whole: Path) -> None:
-                tables.save(whole)
-                if replays:
-                    replay.write_most_telling(tables.episodes, who, world, whole / REPLAYS, seed=seed, number=replays)
-
             if out is None:
                 tables = drive()
             elif fcd:
                 with files.whole_folder(out, overwrite=overwrite) as whole:
                     tables = drive(fcd=whole / FCD)
-                    keep(tables, whole)
+                    keep(tables, whole, replays)
             else:
                 tables = drive()
                 with files.whole_folder(out, overwrite=overwrite) as whole:
-                    keep(tables, whole)
+                    keep(tables, whole, replays)
     except run.Interrupted as stop:
         if out:
-            stop.tables.write(out, overwrite=overwrite)
+            with files.whole_folder(out, overwrite=overwrite) as whole:
+                keep(stop.tables, whole, 0)
         _show(stop.tables, out)
         print(f"rail-sumo: interrupted after {len(stop.tables.episodes)} of {stop.episodes} episodes", file=sys.stderr)
         raise typer.Exit(130) from None
@@ -237,6 +239,23 @@ def replay(
         who = {policy: run.find_driver(policy, world, mode) for policy in what}
         replay.write(who, world, out, seed=seed, episode=episode, overwrite=overwrite)
     print(f"replay in {out}; open it in a browser")
+
+
+@app.command()
+def report(
+    folders: Annotated[
+        list[Path], typer.Argument(metavar="FOLDER...", help="What train, eval, sweep or reproduce has written.")
+    ],
+    out: Annotated[Path, typer.Option(metavar="FILE", help="The page.")] = Path("report.html"),
+    overwrite: Overwrite = False,
+) -> None:
+    """Put all that is known of runs, evaluations, sweeps or studies on one page, with pictures; one file."""
+    from rail_sumo.pictures import report_page
+
+    if out.suffix != ".html":
+        raise InputError(f"a report is a page, FILE.html; got '{out}'")
+    report_page.write(folders, out, overwrite=overwrite)
+    print(f"report in {out}; open it in a browser")
 
 
 @app.command()

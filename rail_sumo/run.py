@@ -48,6 +48,10 @@ DECISIONS = "decisions.parquet"
 """The file of the `decisions` table, which is long and kept as Parquet alone."""
 
 
+WORLD = "world.toml"
+"""The configuration that an evaluation's folder was made with."""
+
+
 class Tables(NamedTuple):
     """What an evaluation has measured."""
 
@@ -317,6 +321,24 @@ def _require_folder(policy: Path) -> None:
         RunDirectory(policy)
 
 
+def describe(folder: Path, world: Config, command: str, *, seed: int) -> None:
+    """Write beside an evaluation's tables what made them: the command, the world, the seed and the versions.
+
+    Args:
+        folder: of the tables.
+        world: where was driven.
+        command: what was typed.
+        seed: of the traffic.
+    """
+    (folder / WORLD).write_text(dumps(world), encoding="utf-8")
+    about = {"command": command, "seed": seed, **_versions()}
+    (folder / assets.MANIFEST).write_text(json.dumps(about, indent=2) + "\n", encoding="utf-8")
+
+
+def _versions() -> dict[str, str]:
+    return {"libsumo": version("libsumo"), "rail-sumo": assets.own_version()}
+
+
 def manifest(folder: Path, means: Mapping[str, float], seed: int) -> str:
     """Return what tells how a driver's folder was made, as JSON.
 
@@ -328,8 +350,7 @@ def manifest(folder: Path, means: Mapping[str, float], seed: int) -> str:
     written = {
         "files": {path.name: assets.sha256(path) for path in sorted(folder.iterdir()) if path.name != assets.MANIFEST},
         "seed": seed,
-        "libsumo": version("libsumo"),
-        "rail-sumo": assets.own_version(),
+        **_versions(),
         "evaluation": {metric: round(mean, 3) for metric, mean in means.items() if math.isfinite(mean)},
     }
     return json.dumps(written, indent=2) + "\n"

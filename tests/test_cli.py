@@ -126,7 +126,8 @@ def test_eval_prints_a_row_per_policy_and_writes_the_tables(rail_sumo, tmp_path)
         "rule",
     ]
     assert max(map(len, out.splitlines())) <= 100
-    written = {"episodes.csv", "episodes.parquet", "summary.csv", "summary.parquet", "decisions.parquet"}
+    written = {"episodes.csv", "episodes.parquet", "summary.csv", "summary.parquet"}
+    written |= {"decisions.parquet", "world.toml", "manifest.json"}
     assert {path.name for path in (tmp_path / "out").iterdir()} == written
     episodes = pd.read_csv(tmp_path / "out" / "episodes.csv")
     assert list(episodes["policy"]) == ["keep", "keep", "rule", "rule"]
