@@ -3,6 +3,7 @@
 # Rollout workers import this module again, and `--help` is to be quick: what is slow to import (torch, pandas, SUMO)
 # is imported by the command that needs it.
 import json
+import math
 import os
 import shlex
 import sys
@@ -45,14 +46,17 @@ Overrides = Annotated[
 _NETWORK = "A .net.xml, a .sumocfg with its demand, or a shipped network's name."
 NetworkFile = Annotated[str | None, typer.Option(metavar="FILE", help=_NETWORK)]
 Routes = Annotated[list[str] | None, typer.Option(metavar="FILE", help="Your own demand; repeatable.")]
-FCD = "fcd"
-"""The folder of the floating-car data beside the tables."""
+FCD, REPLAYS = "fcd", "replays"
+"""The folders of the floating-car data, and of pages to watch, beside the tables."""
 _POLICY = "A run, an expert's folder, or expert, rail, road-expert, road-rail, rule, sumo, sumo:TYPE, keep or random."
 _SEED = "Everything random follows from it."
 Seed = Annotated[int, typer.Option(min=0, help=_SEED)]
 _WORKERS, _CORES = "Processes that drive.", "as many as cores"
 Workers = Annotated[str, typer.Option(metavar="N|ray", help=_WORKERS, show_default=_CORES)]
 LocalWorkers = Annotated[str, typer.Option(metavar="N", help=_WORKERS, show_default=_CORES)]
+Mode = Annotated[
+    Literal["default", "argmax", "sampled"], typer.Option(help="How learned policies act; by default as trained.")
+]
 Overwrite = Annotated[bool, typer.Option("--overwrite", help="Replace what is there.")]
 
 
@@ -126,28 +130,29 @@ def evaluate(
     out: Annotated[Path | None, typer.Option(help="Folder for the tables, as CSV and Parquet.")] = None,
     overwrite: Overwrite = False,
     fcd: Annotated[bool, typer.Option("--fcd", help="Also SUMO's floating-car data of every episode.")] = False,
+    replays: Annotated[
+        int, typer.Option("--replay", min=0, metavar="N", help="Also the N most telling episodes, as pages to watch.")
+    ] = 0,
     reference: Annotated[
         str | None, typer.Option(metavar="POLICY", help="The policy that ratios refer to.", show_default="expert")
     ] = None,
-    mode: Annotated[
-        Literal["default", "argmax", "sampled"], typer.Option(help="How learned policies act; by default as trained.")
-    ] = "default",
+    mode: Mode = "default",
 ) -> None:
     """Drive policies through the same held-out traffic and compare them.
 
     The world is that of the first run directory among the policies, or the default, changed by the options.
     """
-    from rail_sumo import run
-    from rail_sumo.tables import report
+    from rail_sumo import replay, run
 
     if out:
         files.check_folder(out, overwrite=overwrite, instead=", or replace its tables with --overwrite")
-        if (out / FCD).exists() and not fcd:
-            raise InputError(
-                f"'{out / FCD}' is of other drives than these; replace it by --fcd, or choose another --out"
-            )
-    elif fcd:
-        raise InputError("--fcd writes into the folder of --out; name one")
+        for folder, option, is_asked in ((FCD, "--fcd", fcd), (REPLAYS, "--replay", replays)):
+            if (out / folder).exists() and not is_asked:
+                raise InputError(
+                    f"'{out / folder}' is of other drives than these; replace it by {option}, or choose another --out"
+                )
+    elif fcd or replays:
+        raise InputError(f"{'--fcd' if fcd else '--replay'} writes into the folder of --out; name one")
     if reference and reference not in policies:
         raise InputError(f"--reference {reference} is not among the policies: {', '.join(policies)}; name it there too")
     n_workers = _workers(workers)
@@ -165,21 +170,73 @@ def evaluate(
                 observer=bars,
                 reference=reference or "expert",
             )
-            if out and fcd:
+
+            def keep(tables: "Tables", whole: Path) -> None:
+                tables.save(whole)
+                if replays:
+                    replay.write_most_telling(tables.episodes, who, world, whole / REPLAYS, seed=seed, number=replays)
+
+            if out is None:
+                tables = drive()
+            elif fcd:
                 with files.whole_folder(out, overwrite=overwrite) as whole:
                     tables = drive(fcd=whole / FCD)
-                    report.save(whole, episodes=tables[0], summary=tables[1])
+                    keep(tables, whole)
             else:
                 tables = drive()
-                if out:
-                    report.write(out, episodes=tables[0], summary=tables[1], overwrite=overwrite)
+                with files.whole_folder(out, overwrite=overwrite) as whole:
+                    keep(tables, whole)
     except run.Interrupted as stop:
         if out:
-            report.write(out, episodes=stop.tables[0], summary=stop.tables[1], overwrite=overwrite)
+            stop.tables.write(out, overwrite=overwrite)
         _show(stop.tables, out)
-        print(f"rail-sumo: interrupted after {len(stop.tables[0])} of {stop.episodes} episodes", file=sys.stderr)
+        print(f"rail-sumo: interrupted after {len(stop.tables.episodes)} of {stop.episodes} episodes", file=sys.stderr)
         raise typer.Exit(130) from None
     _show(tables, out)
+
+
+@app.command()
+def replay(
+    what: Annotated[
+        list[str],
+        typer.Argument(metavar="POLICY...|FCD", help="One policy, two side by side, or floating-car data of SUMO's."),
+    ],
+    network: NetworkFile = None,
+    routes: Routes = None,
+    overrides: Overrides = None,
+    seed: Seed = 0,
+    episode: Annotated[int, typer.Option(min=0, help="Its number in an evaluation with this seed.")] = 0,
+    mode: Mode = "default",
+    begin: Annotated[float | None, typer.Option(metavar="SECONDS", help="Of FCD: what is earlier is left out.")] = None,
+    end: Annotated[float | None, typer.Option(metavar="SECONDS", help="Of FCD: what is later is left out.")] = None,
+    out: Annotated[Path, typer.Option(metavar="FILE", help="The page.")] = Path("replay.html"),
+    overwrite: Overwrite = False,
+) -> None:
+    """Watch an episode of an evaluation, or any SUMO run, in a browser: one file, which needs nothing else."""
+    from rail_sumo import replay, run
+
+    if out.suffix != ".html":
+        raise InputError(f"a replay is a page, FILE.html; got '{out}'")
+    if len(what) == 1 and Path(what[0]).is_file():
+        if network is None:
+            raise InputError("floating-car data do not hold the road; name their network by --network")
+        if routes or overrides:
+            raise InputError("floating-car data are shown as they are; leave out --routes and --set")
+        replay.write_fcd(
+            Path(what[0]),
+            network,
+            out,
+            begin_s=-math.inf if begin is None else begin,
+            end_s=math.inf if end is None else end,
+            overwrite=overwrite,
+        )
+    else:
+        if begin is not None or end is not None:
+            raise InputError("--begin and --end cut floating-car data; of an episode all is shown")
+        world = run.world(what, overrides_of(network, routes, overrides))
+        who = {policy: run.find_driver(policy, world, mode) for policy in what}
+        replay.write(who, world, out, seed=seed, episode=episode, overwrite=overwrite)
+    print(f"replay in {out}; open it in a browser")
 
 
 @app.command()
@@ -528,6 +585,6 @@ def _show(tables: "Tables", out: Path | None) -> None:
     from rail_sumo.tables import report
 
     console = Console() if sys.stdout.isatty() else Console(width=100)
-    console.print(report.table(tables[1], width=console.width))
+    console.print(report.table(tables.summary, width=console.width))
     if out:
         console.print(f"tables in {escape(str(out))}", soft_wrap=True)

@@ -99,11 +99,15 @@ class Expert:
 
     def decide(self, observation: Floats, agent: Agent) -> int:
         """Return the allowed action with the largest output."""
+        return int(self.outputs(observation, agent.action_masks()).argmax())
+
+    def outputs(self, observation: Floats, allowed: Sequence[bool]) -> Floats:
+        """Return the network's outputs, shape (5,), -inf for what is not allowed."""
         hidden = observation
         for weights, biases in self.layers[:-1]:
             hidden = np.tanh(weights @ hidden + biases)
         weights, biases = self.layers[-1]
-        return int(np.where(agent.action_masks(), weights @ hidden + biases, -np.inf).argmax())
+        return np.where(allowed, weights @ hidden + biases, -np.inf)
 
 
 class Learned:
@@ -130,6 +134,11 @@ class Learned:
             outputs = np.where(agent.action_masks(), outputs, -np.inf)
         return int(outputs.argmax())
 
+    def outputs(self, observation: Floats, allowed: Sequence[bool]) -> Floats:
+        """Return the network's outputs, shape (5,); -inf for what is not allowed, if it is masked."""
+        outputs = self._policy.outputs(observation)
+        return np.where(allowed, outputs, -np.inf) if self._masked else outputs
+
 
 class Advised:
     """Lets one driver drive and records what another would have decided."""
@@ -144,6 +153,21 @@ class Advised:
         """Return the driver's own decision."""
         self.advice.append(self._adviser.decide(observation, agent))
         return self._driver.decide(observation, agent)
+
+
+def probabilities(driver: Driver, observation: Floats, allowed: Sequence[bool]) -> tuple[float, ...]:
+    """Return how probable each meta-action is, as a learned driver would sample; of any other driver nothing.
+
+    Args:
+        driver: who drives.
+        observation: what it observes.
+        allowed: which meta-actions would be carried out.
+    """
+    if not isinstance(driver, Expert | Learned):
+        return ()
+    outputs = driver.outputs(observation, allowed)
+    likelihoods = np.exp(outputs - outputs.max())
+    return tuple((likelihoods / likelihoods.sum()).tolist())
 
 
 SHIPPED = ("rail", "road-expert", "road-rail")

@@ -7,8 +7,9 @@ import threading
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from concurrent.futures import ProcessPoolExecutor
 from concurrent.futures.process import BrokenProcessPool
-from contextlib import contextmanager
+from contextlib import closing, contextmanager
 from dataclasses import dataclass, replace
+from functools import partial
 from typing import Any, Literal, Protocol, TypeVar
 
 import numpy as np
@@ -18,6 +19,7 @@ from rail_sumo import drivers
 from rail_sumo.config import Config
 from rail_sumo.errors import InputError, NotBegun
 from rail_sumo.highway import metrics
+from rail_sumo.highway.camera import Camera
 from rail_sumo.highway.env import HighwayEnv
 from rail_sumo.highway.fleet import Decide, Fleet, Instead
 from rail_sumo.policy import PolicyParameters
@@ -112,17 +114,34 @@ def _drive_advised(task: Task) -> tuple[Trajectory, NDArray[np.int64]]:
     return _drive(task, driver), np.array(driver.advice, dtype=np.int64)
 
 
+def film(task: Task) -> tuple[Camera, Trajectory]:
+    """Drive one episode in this process and film it.
+
+    Raises:
+        NotBegun: it cannot begin.
+        InputError: SUMO stops.
+    """
+    driver = driver_of(task.driver, task.config, task.seed)
+    with closing(_world_of(task, driver)) as env:
+        observation = _begin_episode(env, task.seed)
+        camera = Camera(env, partial(drivers.probabilities, driver))
+        while not env.is_over:
+            observation = camera.drive(driver.decide(observation, env.agent))
+        return camera, env.trajectory()
+
+
 def _drive(task: Task, driver: drivers.Driver) -> Trajectory:
-    env = HighwayEnv(
-        task.config.seen_with(driver.senses), hands_off=drivers.hands_off(task.driver), outputs=task.outputs
-    )
-    try:
+    with closing(_world_of(task, driver)) as env:
         observation = _begin_episode(env, task.seed)
         while not env.is_over:
             observation, _ = env.drive(driver.decide(observation, env.agent))
         return env.trajectory()
-    finally:
-        env.close()
+
+
+def _world_of(task: Task, driver: drivers.Driver) -> HighwayEnv:
+    return HighwayEnv(
+        task.config.seen_with(driver.senses), hands_off=drivers.hands_off(task.driver), outputs=task.outputs
+    )
 
 
 def _begin_episode(env: HighwayEnv, seed: int) -> Floats:

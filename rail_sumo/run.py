@@ -6,7 +6,7 @@ import math
 from collections.abc import Iterable, Mapping
 from importlib.metadata import version
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 from urllib.parse import quote
 
 import pandas as pd
@@ -17,7 +17,7 @@ from rail_sumo import assets, config_file, drivers, training
 from rail_sumo.config import Config
 from rail_sumo.config_file import dumps
 from rail_sumo.errors import InputError, did_you_mean
-from rail_sumo.files import check_file, check_folder, whole_file
+from rail_sumo.files import check_file, check_folder, whole_file, whole_folder
 from rail_sumo.highway import metrics, varied
 from rail_sumo.highway.env import HighwayEnv
 from rail_sumo.highway.network import demand
@@ -44,8 +44,26 @@ from rail_sumo.tables import report
 PART = "part.parquet"
 """The file of one episode's floating-car data, in a folder of its own."""
 
-Tables = tuple[pd.DataFrame, pd.DataFrame]
-"""The `episodes` table and its `summary`."""
+DECISIONS = "decisions.parquet"
+"""The file of the `decisions` table, which is long and kept as Parquet alone."""
+
+
+class Tables(NamedTuple):
+    """What an evaluation has measured."""
+
+    episodes: pd.DataFrame
+    summary: pd.DataFrame
+    decisions: pd.DataFrame
+
+    def write(self, folder: Path, *, overwrite: bool = False) -> None:
+        """Write them into a folder, which is there whole or not at all; see `report.write`."""
+        with whole_folder(folder, overwrite=overwrite) as whole:
+            self.save(whole)
+
+    def save(self, folder: Path) -> None:
+        """Write them into a folder that is not whole yet."""
+        report.save(folder, episodes=self.episodes, summary=self.summary)
+        self.decisions.to_parquet(folder / DECISIONS, index=False)
 
 
 class Interrupted(KeyboardInterrupt):
@@ -147,6 +165,7 @@ def evaluate(
         for name, episode in labels
     ]
     rows: list[dict[str, Any]] = []
+    decided: list[tuple[str, int, dict[str, Any]]] = []
     undriven: list[tuple[str, int, str]] = []
     try:
         for (name, episode), driven in zip(labels, attempt_all("eval", tasks, workers, observer), strict=True):
@@ -155,10 +174,12 @@ def evaluate(
                 told: dict[str, Any] = {"seed": driven.seed, "network": network, "end_reason": driven.end_reason}
             else:
                 told = metrics.row(driven, world.adas)
+                if not drivers.hands_off(policies[name]):
+                    decided.append((name, episode, metrics.decisions(driven)))
             rows.append({"policy": name, "episode": episode, **told})
     except KeyboardInterrupt:
         if len(rows) > len(undriven):
-            raise Interrupted(_tables(rows, reference), len(labels)) from None
+            raise Interrupted(_tables(rows, decided, reference), len(labels)) from None
         raise
     if len(undriven) == len(labels):
         raise InputError(undriven[0][-1])
@@ -166,12 +187,12 @@ def evaluate(
         observer.note(f"{name} did not drive episode {episode}: {why}")
     if fcd:
         _require_whole(fcd)
-    return _tables(rows, reference)
+    return _tables(rows, decided, reference)
 
 
-def _tables(rows: list[dict[str, Any]], reference: str) -> Tables:
+def _tables(rows: list[dict[str, Any]], decided: list[tuple[str, int, dict[str, Any]]], reference: str) -> Tables:
     table = report.episodes(rows)
-    return table, report.summary(table, reference)
+    return Tables(table, report.summary(table, reference), report.decisions(decided))
 
 
 def record(
@@ -246,8 +267,8 @@ def train(
     policies[report.EXPERT] = expert
     episodes = config.train.evaluation_episodes
     tables = evaluate(policies, config, episodes=episodes, seed=seed, workers=workers, observer=observer)
-    report.write(out, episodes=tables[0], summary=tables[1], overwrite=True)
-    own = tables[1][tables[1]["policy"] == config.train.learner]
+    tables.write(out, overwrite=True)
+    own = tables.summary[tables.summary["policy"] == config.train.learner]
     with whole_file(out / assets.MANIFEST) as partial:
         partial.write_text(manifest(out, own.set_index("metric")["mean"], seed), encoding="utf-8")
     return tables

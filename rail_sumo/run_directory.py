@@ -127,6 +127,15 @@ class RunDirectory:
         learned, _, _ = _read_driver(self.path / POLICY)
         return replace(learned, senses=self.config.senses)
 
+    def judge(self) -> Tensors:
+        """Return what the judge's file holds; nothing for a learner without one.
+
+        Raises:
+            InputError: the file is damaged.
+        """
+        path = self.path / JUDGE
+        return _read(path)[0] if path.exists() else {}
+
     def checkpoint(self) -> Checkpoint:
         """Return where training stands."""
         path = self.path / CHECKPOINT

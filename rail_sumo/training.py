@@ -305,13 +305,30 @@ def _start(config: Config, demonstrations: Demonstrations, seed: int) -> PolicyP
 
 def judge_of(run: RunDirectory) -> "Discriminator":
     """Return a run's judge as it stands after the run's last iteration."""
-    from rail_sumo.imitation.discriminator import Discriminator
-
-    judge = Discriminator(run.clone.whitening, run.config.judge, run.seed, horizon_decisions(run.config))
+    judge = _untrained_judge(run)
     memory = run.checkpoint().memory
     if memory:
         judge.load_state(_part(JUDGES, memory))
     return judge
+
+
+def _untrained_judge(run: RunDirectory) -> "Discriminator":
+    from rail_sumo.imitation.discriminator import Discriminator
+
+    return Discriminator(run.clone.whitening, run.config.judge, run.seed, horizon_decisions(run.config))
+
+
+def verdicts(run: RunDirectory, trajectory: Trajectory) -> Sequence[float]:
+    """Return what a run's judge makes of each decision of a drive: 1 as if it were the expert's, 0 the learner's.
+
+    Nothing where the run's learner has no judge.
+    """
+    weights = run.judge()
+    if not weights:
+        return ()
+    judge = _untrained_judge(run)
+    judge.load_state(weights)
+    return judge.verdicts(trajectory).tolist()
 
 
 def memory_of(judge: "Discriminator") -> Tensors:

@@ -10,8 +10,8 @@ from typing import get_args
 
 import numpy as np
 
+from rail_sumo.film import Decision, Driven, Film, Ground, Holding, Lane, Mark, MarkKind, StopLine, Vehicle
 from rail_sumo.pictures import page
-from rail_sumo.pictures.film import Decision, Driven, Film, Ground, Holding, Lane, Mark, MarkKind, StopLine, Vehicle
 from rail_sumo.records import MetaAction
 
 LANE_M, N_LANES, N_RAYS, RANGE_M = 3.5, 3, 24, 100.0

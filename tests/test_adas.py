@@ -6,7 +6,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from rail_sumo import config
-from rail_sumo.highway.adas import Adas, HandsOff
+from rail_sumo.highway.adas import Adas, HandsOff, slowed_for
 from rail_sumo.records import KMH, SUMO_DECIDES, Gaps, HostState, MetaAction
 
 KEEP, ACCELERATE, DECELERATE, LEFT, RIGHT = MetaAction
@@ -282,31 +282,54 @@ def test_sumos_own_driver_decides_its_speed_but_for_limits():
 
 
 @pytest.mark.parametrize(
-    ("action", "host", "gaps"),
+    ("action", "host", "gaps", "why"),
     [
-        (LEFT, at(lane=4), free),
-        (RIGHT, at(lane=0), free),
-        (LEFT, at(to_left_m=0.0), free),  # a line forbids it
-        (RIGHT, at(to_right_m=0.0), free),
-        (LEFT, at(to_edge_end_m=41.1), free),  # 20 m/s for 3.2 / 1.7 s are 37.65 m, and at 2 m/s² 3.54 m more
-        (LEFT, at(speed_mps=0.0, to_edge_end_m=3.5), free),
-        (LEFT, at(to_edge_end_m=37.6, leads_on_m=ENDING), free),
+        (LEFT, at(lane=4), free, "no lane"),
+        (RIGHT, at(lane=0), free, "no lane"),
+        (LEFT, at(to_left_m=0.0), free, "line"),
+        (RIGHT, at(to_right_m=0.0), free, "line"),
+        # 20 m/s for 3.2 / 1.7 s are 37.65 m, and at 2 m/s² 3.54 m more.
+        (LEFT, at(to_edge_end_m=41.1), free, "room"),
+        (LEFT, at(speed_mps=0.0, to_edge_end_m=3.5), free, "room"),
+        (LEFT, at(to_edge_end_m=37.6, leads_on_m=ENDING), free, "room"),
         # Beyond the edge 0.2 s more, since it may have to wait beside the border: 41.65 m, and at 2 m/s² 4.34 m more.
-        (LEFT, at(to_edge_end_m=10.0, left_goes_on_m=35.9), free),
-        (LEFT, at(to_edge_end_m=10.0, right_goes_on_m=100.0), free),
-        (RIGHT, at(to_edge_end_m=10.0, left_goes_on_m=100.0), free),
-        (LEFT, at(to_edge_end_m=0.0, to_left_m=0.0, left_goes_on_m=100.0), free),
-        (LEFT, MIDDLE, closed_on(1)),
-        (RIGHT, MIDDLE, closed_on(-1)),
+        (LEFT, at(to_edge_end_m=10.0, left_goes_on_m=35.9), free, "room"),
+        (LEFT, at(to_edge_end_m=10.0, right_goes_on_m=100.0), free, "room"),
+        (RIGHT, at(to_edge_end_m=10.0, left_goes_on_m=100.0), free, "room"),
+        (LEFT, at(to_edge_end_m=0.0, to_left_m=0.0, left_goes_on_m=100.0), free, "line"),
+        (RIGHT, at(lane=3, to_edge_end_m=200.0, leads_on_m=ENDING), free, "lane ends"),
+        (LEFT, MIDDLE, closed_on(1), "gap"),
+        (RIGHT, MIDDLE, closed_on(-1), "gap"),
     ],
 )
-def test_a_change_without_lane_or_road_or_gap_is_refused_counted_and_not_begun(adas, action, host, gaps):
+def test_a_change_without_lane_or_road_or_gap_is_refused_counted_and_not_begun(adas, action, host, gaps, why):
     assert not adas.allowed(host, gaps)[action]
     adas.decide(action, host, gaps)
-    assert adas.refused_decisions == 1
+    assert (adas.refused_decisions, adas.why) == (1, why)
     assert not adas.changing_lane
     command = adas.command(host, gaps, steps=1)
     assert (command.lateral_m, command.cross) == (0.0, 0)
+
+
+def test_why_a_decision_was_not_carried_out_is_of_the_last_one_alone(adas):
+    for action, gaps, why in ((LEFT, closed, "gap"), (LEFT, free, ""), (LEFT, free, "under way"), (KEEP, free, "")):
+        adas.decide(action, MIDDLE, gaps)
+        assert adas.why == why
+
+
+@pytest.mark.parametrize(
+    ("host", "what"),
+    [
+        (at(limit_mps=15.0), "limit"),
+        (at(to_edge_end_m=20.0, limits_ahead=((0.0, 10.0),)), "limit"),
+        (at(stops_ahead=((40.0, 0.0),)), "stop"),
+        (at(to_edge_end_m=40.0, leads_on_m=(0.0,) * 5), "lane end"),
+        (at(to_edge_end_m=80.0, leads_on_m=(0.0,) * 5, stops_ahead=((40.0, 0.0),)), "stop"),
+        (at(to_edge_end_m=40.0, leads_on_m=(0.0,) * 5, stops_ahead=((80.0, 0.0),)), "lane end"),
+    ],
+)
+def test_what_the_set_speed_is_lowered_for(host, what):
+    assert slowed_for(host, config.Adas(), 20.0) == what
 
 
 @pytest.mark.parametrize(

@@ -13,8 +13,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from rail_sumo.errors import InputError
+from rail_sumo.film import Film, Ground, Holding, Lane, Vehicle
 from rail_sumo.pictures import page
-from rail_sumo.pictures.film import Film, Ground, Holding, Lane, Vehicle
 from rail_sumo.pictures.page import QUANTA
 
 NOWHERE = Ground((), (), (), "nowhere")

@@ -9,6 +9,7 @@ from collections.abc import Callable, Mapping
 from typing import Literal
 
 from rail_sumo import config
+from rail_sumo.film import Why
 from rail_sumo.highway.hard_braking import HARD_MPS2
 from rail_sumo.records import KMH, SECONDS_PER_STEP, SUMO_DECIDES, Command, Gaps, HostState, MetaAction
 
@@ -56,6 +57,12 @@ class Adas:
         self.lane_changes = 0
         self.aborted_lane_changes = 0
         self.refused_decisions = 0
+        self.why: Why = ""
+        """Why the last decision was not carried out."""
+
+    def set_mps(self, limit_mps: float) -> float:
+        """Return the set speed, as it is held where the limit is this."""
+        return min(self._config.clipped_mps(self._set_speed, limit_mps), limit_mps)
 
     @property
     def changing_lane(self) -> bool:
@@ -66,6 +73,11 @@ class Adas:
     def side(self) -> Side | None:
         """Where the change under way set out for: LEFT, RIGHT, or None while keeping the lane."""
         return self._side
+
+    @property
+    def is_reversing(self) -> bool:
+        """Whether it goes back to the lane that it set out from."""
+        return self._side is not None and self._reversing
 
     @property
     def aim(self) -> Side | Literal[0]:
@@ -98,7 +110,7 @@ class Adas:
         A lane change that cannot be carried out safely is refused and counted, and KEEP is returned, as it is when that
         change is under way already.
         """
-        carried_out = action
+        carried_out, self.why = action, ""
         step = self._config.speed_step_kmh / KMH
         if action is MetaAction.ACCELERATE:
             self._set_speed = host.speed_mps + step
@@ -119,7 +131,7 @@ class Adas:
         way_on = _way_on(host)
         if way_on is not None and self._side is None and self._open(way_on, host, gaps):
             self._begin(way_on, host)
-        set_speed = min(self._config.clipped_mps(self._set_speed, host.limit_mps), host.limit_mps)
+        set_speed = self.set_mps(host.limit_mps)
         speed = max(set_speed, host.speed_mps - self._config.comfort_braking_mps2 * SECONDS_PER_STEP)
         stays = self._side is None and way_on is None
         if stays and speed == set_speed == _within_limits(speed, host, self._config, steps=steps):
@@ -130,15 +142,18 @@ class Adas:
 
     def _steer(self, side: Side, host: HostState, gaps: Callable[[int], Gaps]) -> bool:
         """Begin a lane change or turn the one under way round, and return whether this was done."""
-        if self._side is None and self._open(side, host, gaps):
-            self._begin(side, host)
-            return True
+        if self._side is None:
+            self.why = self._obstacle(side, host, gaps)
+            if not self.why:
+                self._begin(side, host)
+                return True
         turns_round = self._side is not None and (side == self._side) == self._reversing
         if turns_round and not self._reversing and self._may_turn_back(host, gaps):
             self._reversing = True
             return True
         if self._side is None or turns_round:  # no gap, no room to turn back, or turned back already
             self.refused_decisions += 1
+        self.why = self.why or "under way"
         return False
 
     def _begin(self, side: Side, host: HostState) -> None:
@@ -147,17 +162,21 @@ class Adas:
         self._crossed = self._reversing = False
 
     def _open(self, side: Side, host: HostState, gaps: Callable[[int], Gaps]) -> bool:
-        """Whether a change to this side may begin: there is a lane, no line forbids it, road enough, and a gap.
+        """Whether a change to this side may begin: there is a lane, no line forbids it, road enough, and a gap."""
+        return not self._obstacle(side, host, gaps)
+
+    def _obstacle(self, side: Side, host: HostState, gaps: Callable[[int], Gaps]) -> Why:
+        """Return what a change to this side may not begin for.
 
         A lane that soon leads off the course is not open, nor one farther away from it.
         """
         if not _across(host, side):
-            return False
+            return "line" if host.rightmost_lane <= host.lane + side <= host.leftmost_lane else "no lane"
         if not self._has_room(host, side):
-            return False
+            return "room"
         if host.ends_in_m(host.lane + side) < LEAVE_LANE_M and side != _way_on(host):
-            return False
-        return self._safe(host.speed_mps, gaps(side))
+            return "lane ends"
+        return "" if self._safe(host.speed_mps, gaps(side)) else "gap"
 
     def _may_turn_back(self, host: HostState, gaps: Callable[[int], Gaps]) -> bool:
         """Whether the change under way may be reversed by a decision: not into a lane that must be left by now."""
@@ -235,12 +254,28 @@ def _within_limits(speed_mps: float, host: HostState, config: config.Adas, *, st
     allowed = min(speed_mps, _approaching(host.limit_mps, host, 0.0, travel_m, comfort))
     for beyond_m, limit in host.limits_ahead:
         allowed = min(allowed, _approaching(limit, host, host.to_edge_end_m + beyond_m, travel_m, comfort))
-    lane_ends_in_m = host.ends_in_m(host.lane)
-    lane_end = () if math.isinf(lane_ends_in_m) else ((lane_ends_in_m - LANE_END_SHORT_M, 0.0),)
-    for ahead_m, slow in (*host.stops_ahead, *lane_end):
+    for ahead_m, slow in (*host.stops_ahead, *_lane_end(host)):
         it_takes = (host.speed_mps**2 - slow**2) / (2 * max(ahead_m, TOUCH_M))
         allowed = min(allowed, _approaching(slow, host, ahead_m, travel_m, min(max(it_takes, comfort), hardest)))
     return allowed
+
+
+def _lane_end(host: HostState) -> tuple[tuple[float, float], ...]:
+    lane_ends_in_m = host.ends_in_m(host.lane)
+    return () if math.isinf(lane_ends_in_m) else ((lane_ends_in_m - LANE_END_SHORT_M, 0.0),)
+
+
+def slowed_for(host: HostState, config: config.Adas, speed_mps: float) -> Literal["limit", "stop", "lane end"]:
+    """Return what `Adas.command` lowers a speed for, where it does: a limit, a place to stop at, or the lane's end."""
+
+    def within(part: HostState) -> float:
+        return _within_limits(speed_mps, part, config, steps=1)
+
+    no_stops = host._replace(stops_ahead=())
+    endless = host._replace(leads_on_m=(math.inf,) * len(host.leads_on_m))
+    if within(endless._replace(stops_ahead=())) <= within(host):
+        return "limit"
+    return "lane end" if within(no_stops) <= within(host) else "stop"
 
 
 def _approaching(limit_mps: float, host: HostState, ahead_m: float, travel_m: float, braking_mps2: float) -> float:
@@ -296,6 +331,9 @@ class HandsOff:
 
     lateral_m = 0.0
     aim = 0
+    side = None
+    why: Why = ""
+    is_reversing = False
     aborted_lane_changes = 0
     refused_decisions = 0
 
@@ -304,6 +342,10 @@ class HandsOff:
         self._keeps_limits = keeps_limits
         self.changing_lane = False
         self.lane_changes = 0
+
+    def set_mps(self, limit_mps: float) -> float:
+        """Return NaN: SUMO's driver has no set speed."""
+        return math.nan
 
     def allowed(self, host: HostState, gaps: Callable[[int], Gaps]) -> list[bool]:
         """Return that only keeping is allowed: no decision is carried out."""

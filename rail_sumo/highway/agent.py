@@ -64,14 +64,14 @@ class Agent:
         self._keeps_trajectory = keeps_trajectory
         self.n_steps = 0
         """How many SUMO steps it has driven."""
-        self._adas: Adas | HandsOff
+        self.adas: Adas | HandsOff
         if hands_off:
             kind = hands_off if isinstance(hands_off, str) else None
-            self._adas = HandsOff(world.adas, keeps_limits=kind is None)
+            self.adas = HandsOff(world.adas, keeps_limits=kind is None)
             host.hand_over(kind)
         else:
-            self._adas = Adas(world.adas, start_mps=self._start_mps(enters_as_traffic=enters_as_traffic))
-        self._lidar = _lidar(world.lidar, stretch.road)
+            self.adas = Adas(world.adas, start_mps=self._start_mps(enters_as_traffic=enters_as_traffic))
+        self.lidar = _lidar(world.lidar, stretch.road)
         self._layout = Layout(world.lidar, world.observation)
         self._passes = PassCounter(stretch.near_m)
         self._period_steps = round(world.episode.decision_period_s / SECONDS_PER_STEP)
@@ -94,6 +94,8 @@ class Agent:
         self._decisions: list[int] = []
         self._carried_out: list[int] = []
         self._allowed: list[list[bool]] = []
+        self._decision_step: list[int] = []
+        self._decision_place: list[tuple[float, float, float]] = []
         self._lane_changing: list[bool] = []
         self._limits_mps: list[float] = []
 
@@ -114,10 +116,10 @@ class Agent:
         self.scene = scene
         self.end = self._why_over()
         self.observation = self._layout.observe(
-            self._lidar.scan(scene),
+            self.lidar.scan(scene),
             speed_mps=scene.speed_mps[0],
             limit_mps=self.host.limit_mps if self._world.observation.speed_limit else math.inf,
-            lateral_m=self._adas.lateral_m,
+            lateral_m=self.adas.lateral_m,
         )
         return self.observation
 
@@ -144,7 +146,7 @@ class Agent:
     def mask(self) -> list[bool]:
         """For each meta-action whether the assistance layer would carry it out now; asking is not noted."""
         if self._mask is None:
-            self._mask = self._adas.allowed(self.state, self.gaps)
+            self._mask = self.adas.allowed(self.state, self.gaps)
         return self._mask
 
     @property
@@ -166,20 +168,23 @@ class Agent:
 
     def decide(self, action: MetaAction) -> None:
         """Take a decision for the steps until the next falls due."""
-        carried_out = self._adas.decide(action, self.state, self.gaps)
+        carried_out = self.adas.decide(action, self.state, self.gaps)
         if self._keeps_trajectory:
             self._observations.append(self.observation)
             self._decisions.append(action)
             self._carried_out.append(carried_out)
             self._allowed.append(self.mask if self._is_told else ALL_ALLOWED)
+            self._decision_step.append(self.n_steps)
+            x_m, y_m = self.scene.boxes[:2, 0].tolist()
+            self._decision_place.append((self.host.travelled_m, x_m, -y_m if self.stretch.road.is_left_hand else y_m))
         self._mask, self._is_told = None, False
         self._left = min(self._period_steps, self._duration_steps - self.n_steps)
 
     def command(self) -> Command:
         """Return what to do next, for no more steps than there are until the next decision."""
-        self._was_changing = self._adas.changing_lane
-        command = self._adas.command(self.state, self.gaps, steps=self._left)
-        self.host.claim(command.cross or self._adas.aim)
+        self._was_changing = self.adas.changing_lane
+        command = self.adas.command(self.state, self.gaps, steps=self._left)
+        self.host.claim(command.cross or self.adas.aim)
         return command
 
     def note(self, steps: int) -> None:
@@ -195,20 +200,25 @@ class Agent:
     @property
     def is_due(self) -> bool:
         """Whether the next decision falls due: by the clock, at the end of a lane change, or at a contact."""
-        ended_change = self._was_changing and not self._adas.changing_lane
+        ended_change = self._was_changing and not self.adas.changing_lane
         return self._left <= 0 or ended_change or self.host.contact
 
     # Counts, and the trajectory.
 
     @property
+    def is_driven_by_us(self) -> bool:
+        """Whether decisions count; else SUMO's own driver drives."""
+        return isinstance(self.adas, Adas)
+
+    @property
     def is_changing_lane(self) -> bool:
         """Whether a lane change is under way."""
-        return self._adas.changing_lane
+        return self.adas.changing_lane
 
     @property
     def refused_decisions(self) -> int:
         """How many of its decisions were not carried out."""
-        return self._adas.refused_decisions
+        return self.adas.refused_decisions
 
     def last(self, steps: int) -> tuple[Floats, Floats, Any]:
         """Return speeds, limits and whether a lane change was under way, for each of the last steps."""
@@ -220,12 +230,14 @@ class Agent:
 
     def trajectory(self, seed: int) -> Trajectory:
         """Return its episode so far; `seed` is the traffic's."""
-        host, adas = self.host, self._adas
+        host, adas = self.host, self.adas
         return Trajectory(
             observations=np.array(self._observations),
             decisions=np.array(self._decisions, dtype=np.int64),
             carried_out=np.array(self._carried_out, dtype=np.int64),
             allowed=np.array(self._allowed, dtype=np.bool_),
+            decision_step=np.array(self._decision_step, dtype=np.int64),
+            decision_place=np.array(self._decision_place),
             speed_mps=np.array(host.speeds_mps),
             distance_m=host.travelled_m,
             limit_mps=np.array(self._limits_mps),

@@ -1,7 +1,8 @@
 """The Gymnasium environment: how an episode begins, goes on and ends."""
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from contextlib import suppress
+from functools import partial
 from typing import Any
 
 import gymnasium
@@ -224,6 +225,12 @@ class HighwayEnv(gymnasium.Env[Floats, np.int64]):
         """The host, as it is driven."""
         assert self._agent is not None  # from the first reset on
         return self._agent
+
+    def watch(self, look: Callable[["Simulation"], None]) -> None:
+        """Call something now and after every step of the present episode, to look and change nothing."""
+        simulation = self._under_way()
+        simulation.watch = partial(look, simulation)
+        look(simulation)
 
     @property
     def host_name(self) -> str:

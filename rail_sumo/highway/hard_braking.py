@@ -22,9 +22,14 @@ def hard_brakings(speed_mps: ArrayLike) -> int:
     Args:
         speed_mps: a vehicle's speed, a step apart, shape (n_steps + 1,); shorter than half a second has none.
     """
+    return int(starts(speed_mps).sum())
+
+
+def starts(speed_mps: ArrayLike) -> NDArray[np.bool_]:
+    """Return in which steps a hard braking begins, for all but the last half second; see `hard_brakings`."""
     speed = np.asarray(speed_mps, dtype=np.float64)
     braking = (speed[:-AVERAGED_STEPS] - speed[AVERAGED_STEPS:]) / (AVERAGED_STEPS * SECONDS_PER_STEP)
-    return int(beginnings(braking > HARD_MPS2 + ROUNDING_MPS2, braking < EASED_MPS2).sum())
+    return beginnings(braking > HARD_MPS2 + ROUNDING_MPS2, braking < EASED_MPS2)
 
 
 def beginnings(hard: NDArray[np.bool_], eased: NDArray[np.bool_]) -> NDArray[np.bool_]:

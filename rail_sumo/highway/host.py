@@ -384,6 +384,21 @@ class Host:
         edge, _, lane = libsumo.vehicle.getLaneID(self.name).rpartition("_") if side else ("", "", "")
         self.aims_at = f"{edge}_{int(lane) + side}" if side else ""
 
+    @property
+    def gap_m(self) -> float:
+        """Bumper to bumper to the vehicle ahead; NaN where none is in sight."""
+        return math.nan if self._leader is None else self._leader.gap_m
+
+    @property
+    def told_mps(self) -> tuple[float, float]:
+        """The speed that it was commanded, and what SUMO was told: less where it follows the vehicle ahead."""
+        return self._set_mps, self._told_mps
+
+    @property
+    def waits_for_signal(self) -> bool:
+        """Whether a signal that it may have to brake for is not green."""
+        return any(not signal.is_green for signal in self._signals())
+
     # What it does, and what is recorded.
 
     def obey(self, command: Command) -> None:

@@ -2,7 +2,7 @@
 
 import math
 import os
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from contextlib import suppress
 from dataclasses import dataclass
 from itertools import chain
@@ -166,6 +166,8 @@ class Simulation:
         self._held: dict[str, _Held] = {}  # vehicles kept from changing lanes, by their id
         self.hosts: list[Host] = []
         """The vehicles that are driven."""
+        self.watch: Callable[[], None] | None = None
+        """Called after every step, to look at what there is and change nothing."""
         self._prefix = f"{OURS}{os.getpid()}_"
         self._written = demand.folders_written
         self._outputs = outputs
@@ -413,8 +415,8 @@ class Simulation:
 
     # What is around the host.
 
-    def scene(self, host: Host | None = None) -> Scene:
-        """Return a host and every vehicle within its context's reach, east or west, north or south.
+    def scene(self, host: Host | None = None, *, sees_m: float | None = None) -> Scene:
+        """Return a host and every vehicle within its reach, or that of `sees_m`, east or west, north or south.
 
         Vehicles on a bridge above or below are left out. On a road that is driven on the left it is told in the mirror;
         see `Road.is_left_hand`.
@@ -424,6 +426,7 @@ class Simulation:
         angle, speed = libsumo.vehicle.getAngle, libsumo.vehicle.getSpeed
         ego = (host or self.host).name
         sizes, (reach_m, is_left_hand) = self._sizes, self._sees[ego]
+        reach_m = sees_m or reach_m
         here = libsumo.vehicle.getPosition3D(ego)
         names, rows = [ego], [*here[:2], angle(ego), speed(ego), *(sizes.get(ego) or self._size(ego))]
         among = libsumo.vehicle.getIDList() if len(self.hosts) == 1 else self._near_lately(here, reach_m)
@@ -465,6 +468,18 @@ class Simulation:
     def _size(self, name: str) -> tuple[float, float]:
         self._sizes[name] = (libsumo.vehicle.getLength(name), libsumo.vehicle.getWidth(name))
         return self._sizes[name]
+
+    @staticmethod
+    def class_of(name: str) -> str:
+        """Return a vehicle's class, by SUMO's name for it."""
+        vclass: str = libsumo.vehicle.getVehicleClass(name)
+        return vclass
+
+    @staticmethod
+    def signals() -> dict[str, str]:
+        """Return what every traffic light shows, a letter for each of its links."""
+        show = libsumo.trafficlight.getRedYellowGreenState
+        return {light: show(light) for light in libsumo.trafficlight.getIDList()}
 
     # Time goes on.
 
@@ -511,6 +526,8 @@ class Simulation:
     def _note(self) -> None:
         for host in self.hosts:
             host.note()
+        if self.watch is not None:
+            self.watch()
 
     def teleporting(self) -> Sequence[str]:
         """Return who has been taken off the road in the last step, to be put on again elsewhere."""

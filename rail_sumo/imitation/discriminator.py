@@ -93,6 +93,13 @@ class Discriminator:
             rewards = self._loss.reward(self._outputs(self._pairs(observations, actions)))
         return rewards.numpy().astype(np.float64).clip(-self._settings.reward_clip, self._settings.reward_clip)
 
+    @single_threaded()
+    def verdicts(self, trajectory: Trajectory) -> Floats:
+        """Return for each of a trajectory's decisions how much it is like the expert's, shape (n_decisions,)."""
+        with torch.inference_mode():
+            verdicts = self._loss.verdict(self._outputs(self._pairs(*_decisions([trajectory]))))
+        return verdicts.numpy().astype(np.float64)
+
     def returns(self, trajectories: Sequence[Trajectory]) -> Floats:
         """Return each rollout's mean reward per decision, shape (n_trajectories,).
 

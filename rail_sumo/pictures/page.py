@@ -18,7 +18,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from rail_sumo.files import check_file, whole_file
-from rail_sumo.pictures.film import Driven, Film, Ground, Holding, MarkKind, Why
+from rail_sumo.film import Driven, Film, Ground, Holding, MarkKind, Why
 from rail_sumo.records import MetaAction
 
 FORMAT = 1

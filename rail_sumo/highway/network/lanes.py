@@ -161,7 +161,7 @@ def _goes_on_m(net: Any, way: Way, abreast: list[list[Pair]], side: str) -> list
         for pair in abreast[k]:
             connection = pair[side == CHANGE_RIGHT]
             inside = list(within(net, connection))
-            if all(_may_cross(lane, side, way.vclass) for lane in (*inside, connection.getToLane())):
+            if all(may_cross(lane, side, way.vclass) for lane in (*inside, connection.getToLane())):
                 inside_m = sum(lane.getLength() for lane in inside)
                 farther = way.edges[ahead].getLength() + goes_on[ahead][connection.getToLane()]
                 goes_on[k][connection.getFromLane()] = inside_m + farther
@@ -236,11 +236,12 @@ def _inside_edge(net: Any, joint: Joint, abreast: list[Pair], ahead: Edge, vclas
 def _apart_m(lanes: list[Any], vclass: str) -> tuple[tuple[float, ...], tuple[float, ...]]:
     # For each lane how far the centre of the one to its left is, and of the one to its right; 0 over a line.
     pairs = [(right, left, 0.5 * (right.getWidth() + left.getWidth())) for right, left in itertools.pairwise(lanes)]
-    to_left_m = [metres * _may_cross(right, CHANGE_LEFT, vclass) for right, _, metres in pairs]
-    to_right_m = [metres * _may_cross(left, CHANGE_RIGHT, vclass) for _, left, metres in pairs]
+    to_left_m = [metres * may_cross(right, CHANGE_LEFT, vclass) for right, _, metres in pairs]
+    to_right_m = [metres * may_cross(left, CHANGE_RIGHT, vclass) for _, left, metres in pairs]
     return (*to_left_m, 0.0), (0.0, *to_right_m)
 
 
-def _may_cross(lane: Any, side: str, vclass: str) -> bool:
+def may_cross(lane: Any, side: str, vclass: str) -> bool:
+    """Return whether the lines let a class of vehicles leave a lane to a side."""
     allowed = lane.getParam(side, "all").split()
     return "all" in allowed or vclass in allowed

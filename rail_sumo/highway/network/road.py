@@ -134,8 +134,17 @@ def require_readable(file: str) -> None:
     Raises:
         InputError: as in `load`, but for the course.
     """
+    read(file)
+
+
+def read(file: str) -> "_Reader":
+    """Return a network as sumolib reads it, by `getNet()`, and what it drops.
+
+    Raises:
+        InputError: as in `load`, but for the course.
+    """
     path = assets.network(file)
-    _read(path, state_of(path))
+    return _read(path, state_of(path))
 
 
 def warnings(road: Road) -> Iterator[str]:

@@ -36,17 +36,22 @@ class Lane:
     is_inside: bool
     """Whether it is of a junction's inside."""
     left_line: Literal["none", "dashed", "solid"]
-    """What is painted between it and the lane to its left; "solid" where nobody may change over."""
+    """What is painted between it and the next lane of its edge from the kerb on, "none" where there is none; "solid"
+    where nobody may change over."""
 
 
 @dataclass(frozen=True, slots=True)
 class StopLine:
-    """Where a lane ends at a traffic light."""
+    """Where a lane ends at a traffic light; one that leads on in several directions has a part of the line for each."""
 
     lane: str
     """The lane's id."""
     ends: tuple[float, float, float, float]
     """x and y of its right end, and of its left."""
+    light: str = ""
+    """The traffic light's id."""
+    index: int = 0
+    """Which of the light's links it belongs to."""
 
 
 @dataclass(frozen=True)
@@ -60,6 +65,7 @@ class Ground:
     name: str
     """The network's."""
     is_left_hand: bool = False
+    """Whether it is driven on the left: then the next lane from the kerb on is to the right."""
 
 
 @dataclass(frozen=True, slots=True)

@@ -1,0 +1,192 @@
+import itertools
+import math
+from collections import Counter
+from functools import partial
+
+import numpy as np
+import pandas as pd
+import pytest
+from driving import UNSEEN, assert_same, world
+
+from rail_sumo import assets, drivers
+from rail_sumo.highway.camera import HOLDINGS, Camera
+from rail_sumo.highway.env import HighwayEnv
+from rail_sumo.highway.network import ground
+from rail_sumo.highway.simulation import floating_car_data
+from rail_sumo.records import MetaAction
+from rail_sumo.rollout import driver_of
+
+
+@pytest.fixture
+def left_hand(tmp_path):
+    """The arterial, driven on the left."""
+    path = tmp_path / "left.net.xml"
+    path.write_text(assets.network("onramp").read_text().replace("<net ", '<net lefthand="true" ', 1))
+    return str(path)
+
+
+def on(network, routes=None, **sections):
+    demand = {"traffic": {"routes": (str(assets.routes(routes)),), "warm_up_s": 30.0}} if routes else {}
+    return world(network={"file": network}, **demand | sections)
+
+
+def filmed(config, who, seed=UNSEEN, outputs=()):
+    driver = driver_of(who, config, seed)
+    env = HighwayEnv(config, hands_off=drivers.hands_off(who), outputs=outputs)
+    observation, _ = env.reset(seed=seed)
+    camera = Camera(env, partial(drivers.probabilities, driver))
+    while not env.is_over:
+        observation = camera.drive(driver.decide(observation, env.agent))
+    trajectory = env.trajectory()
+    env.close()
+    below = ground.near(config.network.file, *camera.places)
+    return camera.film(who, trajectory, below), trajectory, below
+
+
+def unfilmed(config, who, seed=UNSEEN):
+    driver = driver_of(who, config, seed)
+    env = HighwayEnv(config, hands_off=drivers.hands_off(who))
+    observation, _ = env.reset(seed=seed)
+    while not env.is_over:
+        observation, _ = env.drive(driver.decide(observation, env.agent))
+    trajectory = env.trajectory()
+    env.close()
+    return trajectory
+
+
+@pytest.mark.parametrize("who", ["random", "expert", "sumo"])
+@pytest.mark.parametrize(("network", "routes"), [("highway5", None), ("onramp", "onramp"), ("arterial", "arterial")])
+def test_what_is_filmed_is_driven_as_without_a_camera_and_the_film_is_of_it(network, routes, who):
+    config = on(network, routes)
+    film, trajectory, _ = filmed(config, who)
+    assert_same(trajectory, unfilmed(config, who))
+
+    driven = film.driven
+    hosts = film.vehicle == driven.vehicle
+    assert np.array_equal(film.frame[hosts], np.arange(film.n_frames))  # it is in every frame, once
+    assert np.array_equal(film.speed_mps[hosts], trajectory.speed_mps)
+    assert np.array_equal(driven.limit_mps[1:], trajectory.limit_mps)
+    marks = Counter(mark.kind for mark in driven.marks)
+    changes = trajectory.lane_changes + trajectory.aborted_lane_changes
+    assert changes <= marks["lane change"] + marks["lane end"] <= changes + 1  # one may be under way at the end
+    assert marks["refused"] == trajectory.refused_decisions
+    assert passed(driven, "overtake") <= trajectory.overtakes  # the first look is before the film
+    if who == "sumo":
+        assert not driven.decisions
+        assert {HOLDINGS[k] for k in driven.holding} == {"SUMO"}
+        return
+    assert [one.asked for one in driven.decisions] == trajectory.decisions.tolist()
+    assert [one.carried_out for one in driven.decisions] == trajectory.carried_out.tolist()
+    frames = [one.frame for one in driven.decisions]
+    assert frames == trajectory.decision_step.tolist()
+    places = np.column_stack((film.x_m[hosts], film.y_m[hosts]))[frames]
+    assert np.array_equal(places, trajectory.decision_place[:, 1:])
+    n_rays = config.lidar.n_rays
+    for one, seen in zip(driven.decisions, trajectory.observations, strict=True):
+        assert np.array_equal(driven.ray_m[one.frame], seen[:n_rays])
+
+
+def passed(driven, kind):
+    return sum(int(mark.text or 1) for mark in driven.marks if mark.kind == kind)
+
+
+@pytest.mark.parametrize("is_left_hand", [False, True])
+def test_where_everybody_is_sumo_says_too(left_hand, tmp_path, is_left_hand):
+    config = on(left_hand if is_left_hand else "onramp", "onramp")
+    file = tmp_path / "fcd.csv"
+    film, _, _ = filmed(config, "expert", outputs=floating_car_data(file, reach_m=150.0))
+    sumo = pd.read_csv(file, sep=";").dropna(subset="vehicle_id")
+    sumo = sumo[sumo["timestep_time"].between(film.start_s - 1e-6, film.start_s + film.step_s * (film.n_frames - 0.5))]
+    frame = np.round((sumo["timestep_time"] - film.start_s) / film.step_s).astype(int)
+    number = sumo["vehicle_id"].map({vehicle.id: k for k, vehicle in enumerate(film.vehicles)})
+    rows = pd.Series(np.arange(len(film.frame)), pd.MultiIndex.from_arrays((film.frame, film.vehicle)))
+    row = rows[list(zip(frame, number, strict=True))].to_numpy()  # whom SUMO names is on the film
+    assert len(row) > 2 * film.n_frames  # the host is not alone
+    half_m = np.array([film.vehicles[k].length_m for k in number]) / 2
+    heading = film.heading_rad[row]
+    assert film.x_m[row] + half_m * np.cos(heading) == pytest.approx(sumo["vehicle_x"].to_numpy(), abs=0.006)
+    assert film.y_m[row] + half_m * np.sin(heading) == pytest.approx(sumo["vehicle_y"].to_numpy(), abs=0.006)
+    assert film.speed_mps[row] == pytest.approx(sumo["vehicle_speed"].to_numpy(), abs=0.006)
+    turned = np.radians(90.0 - sumo["vehicle_angle"].to_numpy()) - heading
+    assert np.cos(turned) == pytest.approx(np.ones(len(turned)), abs=1e-6)
+
+
+def test_on_the_left_too_a_ray_ends_where_the_vehicle_that_it_hits_is(left_hand):
+    film, _, _ = filmed(on(left_hand, "onramp", lidar={"road_edges": False}), "rule")
+    driven, hits = film.driven, 0
+    for frame in range(0, film.n_frames, 10):
+        here = np.flatnonzero(film.frame == frame)
+        host = here[film.vehicle[here] == driven.vehicle][0]
+        others = here[here != host]
+        for k, reached_m in enumerate(driven.ray_m[frame]):
+            if reached_m >= driven.range_m:
+                continue
+            angle = film.heading_rad[host] + 2 * math.pi * k / len(driven.ray_m[frame])
+            x_m = film.x_m[host] + reached_m * math.cos(angle)
+            y_m = film.y_m[host] + reached_m * math.sin(angle)
+            sizes_m = [(film.vehicles[j].length_m, film.vehicles[j].width_m) for j in film.vehicle[others]]
+            away_m = np.hypot(film.x_m[others] - x_m, film.y_m[others] - y_m)
+            assert (away_m <= np.hypot(*np.transpose(sizes_m)) / 2 + 1e-6).any()
+            hits += 1
+    assert hits > 50
+
+
+def test_signals_are_filmed_and_each_has_its_part_of_a_stop_line():
+    film, _, below = filmed(on("arterial", "arterial"), "rule")
+    assert len(film.signals) == len(below.stop_lines) > 5
+    by_lane = Counter(line.lane for line in below.stop_lines)
+    assert max(by_lane.values()) > 1  # a lane that leads on in several directions
+    widths = {lane.id: lane.width_m for lane in below.lanes}
+    for lane, parts in by_lane.items():
+        lengths = [math.dist(line.ends[:2], line.ends[2:]) for line in below.stop_lines if line.lane == lane]
+        assert sum(lengths) == pytest.approx(widths[lane])
+        assert len(lengths) == parts
+    changes = [changes for changes in film.signals if len(changes) > 1]
+    assert changes
+    for shown in changes:
+        frames, letters = zip(*shown, strict=True)
+        assert frames[0] == 0
+        assert list(frames) == sorted(set(frames))
+        assert all(one != other for one, other in itertools.pairwise(letters))
+
+
+def test_what_the_speed_follows(soon_narrow):
+    film, _, _ = filmed(world(network=soon_narrow, traffic={"vehicles": 0}), "keep")
+    held = [HOLDINGS[k] for k in film.driven.holding]
+    assert set(held) <= {"set speed", "limit", "lane end"}  # nobody else is there
+
+    film, trajectory, _ = filmed(world(traffic={"speed_low_kmh": 40.0, "speed_high_kmh": 45.0, "vehicles": 30}), "keep")
+    following = np.array([HOLDINGS[k] == "vehicle ahead" for k in film.driven.holding])
+    assert following.sum() > 100
+    below_set = film.driven.set_mps[following] - trajectory.speed_mps[following]
+    assert (below_set > -0.05).mean() > 0.95  # whoever follows drives no faster than it would
+
+
+def test_a_learned_driver_tells_how_probable_each_decision_was():
+    film, _, _ = filmed(on("highway5"), "expert")
+    for one in film.driven.decisions:
+        assert sum(one.probabilities) == pytest.approx(1.0)
+        assert one.asked == MetaAction(int(np.argmax(one.probabilities)))
+        assert all(p == 0.0 for p, is_open in zip(one.probabilities, one.open, strict=True) if not is_open)
+    assert not filmed(on("highway5"), "rule")[0].driven.decisions[0].probabilities
+
+
+@pytest.mark.parametrize(
+    ("ground_lane", "lines", "painted"),
+    [
+        ("", "", "dashed"),
+        ('changeLeft="emergency"', "", "dashed"),  # from the left lane one may still come over
+        ('changeLeft="emergency"', 'changeRight="emergency"', "solid"),
+    ],
+)
+def test_a_line_is_solid_where_nobody_may_cross_it(network, ground_lane, lines, painted):
+    lane = '<lane id="a_{0}" index="{0}" speed="30" length="100" width="3.2" shape="0,{1} 100,{1}" {2}/>'
+    lanes = lane.format(0, 0, ground_lane) + lane.format(1, 3.2, lines)
+    below = ground.near(network(f'<edge id="a" from="a-" to="a+">{lanes}</edge>'), np.array([50.0]), np.array([0.0]))
+    assert [one.left_line for one in below.lanes] == [painted, "none"]
+
+
+def test_what_is_far_from_where_anybody_drove_is_not_drawn():
+    here = ground.near("highway5", np.array([100.0]), np.array([0.0]))
+    assert len(here.lanes) == 5
+    assert ground.near("highway5", np.array([100.0]), np.array([5000.0])).lanes == ()
