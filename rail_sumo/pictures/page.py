@@ -118,7 +118,8 @@ def whole_page(ground: Ground, films: Sequence[Film], *, title: str, about: Mapp
         ),
     ]
     style = _read("vendor/uPlot.min.css") + _read("style.css")
-    scripts = (_read("vendor/uPlot.iife.min.js"), joined_modules())
+    licence = f"/*!\n{_read('vendor/uPlot-LICENSE.txt').rstrip()}\n*/\n"  # goes with every copy
+    scripts = (licence + _read("vendor/uPlot.iife.min.js"), joined_modules())
     policy = (
         "default-src 'none'; base-uri 'none'; form-action 'none'; img-src data: blob:; media-src blob:; "
         f"style-src {_hash(style)}; script-src {' '.join(map(_hash, scripts))}"
