@@ -95,7 +95,7 @@ class HostState(NamedTuple):
     """How far beyond the edge's end the host's lane may be left for the one to its left without a break."""
     right_goes_on_m: float = 0.0
     sumos_lane_changes: int = 0
-    """How often SUMO's own driver has changed lanes by now, where it drives the host."""
+    """How often SUMO has changed lanes by now, as the host's driver or while the host asked to be let in."""
 
     def ends_in_m(self, lane: int) -> float:
         """Return how far ahead of the host a lane stops leading on along the course."""
