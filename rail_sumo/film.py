@@ -116,7 +116,7 @@ class Driven:
     range_m: float
     """The rays' range: one that reached so far hit nothing."""
     set_mps: Floats
-    """(n_frames,): the set speed."""
+    """(n_frames,): the set speed; NaN where SUMO's own driver has none."""
     limit_mps: Floats
     """(n_frames,): the speed limit where it was."""
     gap_m: Floats

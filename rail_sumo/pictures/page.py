@@ -19,7 +19,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from rail_sumo.files import check_file, whole_file
 from rail_sumo.film import Driven, Film, Ground, Holding, MarkKind, Why
-from rail_sumo.records import MetaAction
+from rail_sumo.records import Floats, MetaAction
 
 FORMAT = 1
 """Of what is packed; the page refuses another."""
@@ -251,14 +251,21 @@ def _driven_header(driven: Driven) -> dict[str, Any]:
 def _driven_streams(driven: Driven) -> dict[str, Integers]:
     n_frames, n_rays = driven.ray_m.shape
     one = _starts([n_frames])
-    gap = np.where(np.isfinite(driven.gap_m), driven.gap_m, 0.0)
     return {
         "ray": _differences(_quanta(driven.ray_m.T.ravel(), "ray_m"), np.arange(n_rays) * n_frames),
-        "set": _differences(_quanta(driven.set_mps, "speed_mps"), one),
+        **_with_gaps("set", driven.set_mps, "speed_mps"),
         "limit": _differences(_quanta(driven.limit_mps, "speed_mps"), one),
-        "gap": _differences(_quanta(gap, "gap_m"), one),
-        "has_gap": _differences(np.isfinite(driven.gap_m).astype(np.int64), one),
+        **_with_gaps("gap", driven.gap_m, "gap_m"),
         "holding": _differences(driven.holding.astype(np.int64), one),
+    }
+
+
+def _with_gaps(name: str, values: Floats, quantum: str) -> dict[str, Integers]:
+    """Return values of which some are not there, and which are."""
+    one, is_there = _starts([len(values)]), np.isfinite(values)
+    return {
+        name: _differences(_quanta(np.where(is_there, values, 0.0), quantum), one),
+        f"has_{name}": _differences(is_there.astype(np.int64), one),
     }
 
 
@@ -267,8 +274,8 @@ def _check_driven(name: str, driven: Driven, film: Film) -> None:
     per_frame = all(np.shape(row) == (film.n_frames,) for row in of_frames)
     if not per_frame or driven.ray_m.ndim != 2 or len(driven.ray_m) != film.n_frames:
         raise ValueError(f"film '{name}': what the driver saw has not one row per frame")
-    if not all(np.isfinite(row).all() for row in (driven.ray_m, driven.set_mps, driven.limit_mps)):
-        raise ValueError(f"film '{name}': a ray, set speed or limit is not a number")
+    if not all(np.isfinite(row).all() for row in (driven.ray_m, driven.limit_mps)):
+        raise ValueError(f"film '{name}': a ray or a limit is not a number")
     if not 0 <= driven.vehicle < len(film.vehicles):
         raise ValueError(f"film '{name}': the host is vehicle {driven.vehicle} of {len(film.vehicles)}")
     if len(driven.holding) and not 0 <= driven.holding.min() <= driven.holding.max() < len(get_args(Holding)):

@@ -8,7 +8,7 @@ import math
 from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 from string import Template
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 import pandas as pd
@@ -124,7 +124,7 @@ def _evaluation(episodes: pd.DataFrame, summary: pd.DataFrame) -> Iterator[str]:
     rows = []
     for metric, of_metric in summary.groupby("metric", sort=False):
         by_policy = of_metric.set_index("policy")
-        row = {"metric": metric}
+        row: dict[str, Any] = {"metric": metric}
         for policy in policies:
             row[policy] = _with_interval(by_policy.loc[policy], "mean")
             if policy != reference and np.isfinite(by_policy.loc[policy, "ratio"]):
@@ -132,15 +132,22 @@ def _evaluation(episodes: pd.DataFrame, summary: pd.DataFrame) -> Iterator[str]:
         rows.append(row)
     most = int(summary["episodes"].max())
     caption = f"Means over {most} episodes, with 95 % intervals; ratios are paired by episode."
-    yield "<h3>Evaluation</h3>" + _table(pd.DataFrame(rows).fillna(""), caption)
+    yield "<h3>Evaluation</h3>" + _table(pd.DataFrame(rows).astype(object).fillna(""), caption)
     yield _picture(_points(episodes, policies), "Every episode is a point; the line is the mean.", "Episodes")
     yield "<details><summary>All episodes</summary>" + _table(episodes) + "</details>"
 
 
-def _with_interval(row: "pd.Series[Any]", what: str) -> str:
-    low, high = (row["low"], row["high"]) if what == "mean" else (row[f"{what}_low"], row[f"{what}_high"])
-    told = f"{row[what]:.4g}"
-    return told if math.isnan(low) else f"{told} ({low:.4g} to {high:.4g})"
+class _Interval(NamedTuple):
+    """A figure with its 95 % interval, as a cell of a table."""
+
+    value: float
+    low: float
+    high: float
+
+
+def _with_interval(row: "pd.Series[Any]", what: str) -> _Interval:
+    low, high = ("low", "high") if what == "mean" else (f"{what}_low", f"{what}_high")
+    return _Interval(*(float(row[name]) for name in (what, low, high)))
 
 
 def _points(episodes: pd.DataFrame, policies: Sequence[str]) -> "Figure":
@@ -260,7 +267,7 @@ def _read(file: Path) -> pd.DataFrame:
 
 def _table(table: pd.DataFrame, caption: str = "", *, is_sortable: bool = True) -> str:
     """Return a table as HTML; numbers with four digits, and sortable by their full value."""
-    heads = "".join(f'<th scope="col">{html.escape(str(name).replace("_", " "))}</th>' for name in table)
+    heads = "".join(f'<th scope="col">{html.escape(str(name))}</th>' for name in table)
     rows = "".join(f"<tr>{''.join(map(_cell, row))}</tr>\n" for row in table.itertuples(index=False, name=None))
     below = f"<caption>{html.escape(caption)}</caption>" if caption else ""
     kind = ' class="sortable"' if is_sortable else ""
@@ -268,6 +275,9 @@ def _table(table: pd.DataFrame, caption: str = "", *, is_sortable: bool = True) 
 
 
 def _cell(value: Any) -> str:
+    if isinstance(value, _Interval):
+        within = "" if math.isnan(value.low) else f"<small>{value.low:.4g} to {value.high:.4g}</small>"
+        return _cell(value.value).replace("</td>", f"{within}</td>")
     if isinstance(value, float):
         return "<td></td>" if math.isnan(value) else f'<td data-value="{value!r}">{value:.4g}</td>'
     text = html.escape(str(value))

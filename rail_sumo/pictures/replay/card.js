@@ -112,7 +112,7 @@ export class Card {
     return [
       [pose ? `The host ${holdingSentence(driven.holding[whole])}.` : "The host is not on the road."],
       ["speed", pose ? kmh(pose.speed) : "–"],
-      ["set speed", kmh(driven.setMps[whole])],
+      ["set speed", Number.isFinite(driven.setMps[whole]) ? kmh(driven.setMps[whole]) : "–"],
       ["limit", kmh(driven.limitMps[whole])],
       ["gap ahead", Number.isFinite(gap) ? `${gap.toFixed(1)} m` : "nobody in sight"],
     ];

@@ -154,16 +154,18 @@ function drivenOf(header, stream, head) {
   const { driven, n_frames: nFrames } = header;
   const { quanta, actions, holdings } = head;
   const rayStarts = Array.from({ length: nFrames ? driven.n_rays : 0 }, (_, ray) => ray * nFrames);
-  const gap = summed(stream("gap"), [0]);
-  const hasGap = summed(stream("has_gap"), [0]);
+  const withGaps = (name, quantum) => {
+    const isThere = summed(stream(`has_${name}`), [0]);
+    return Float64Array.from(summed(stream(name), [0]), (value, k) => (isThere[k] ? value * quantum : NaN));
+  };
   return {
     vehicle: driven.vehicle,
     nRays: driven.n_rays,
     rangeM: driven.range_m,
     ray: summed(stream("ray"), rayStarts), // ray by ray
-    setMps: scaled(summed(stream("set"), [0]), quanta.speed_mps),
+    setMps: withGaps("set", quanta.speed_mps),
     limitMps: scaled(summed(stream("limit"), [0]), quanta.speed_mps),
-    gapM: Float64Array.from(gap, (value, k) => (hasGap[k] ? value * quanta.gap_m : NaN)),
+    gapM: withGaps("gap", quanta.gap_m),
     holding: Array.from(summed(stream("holding"), [0]), (index) => holdings[index]),
     decisions: driven.decisions.map(([frame, asked, carriedOut, why, open, probabilities, judged]) => ({
       frame,
