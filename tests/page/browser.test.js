@@ -290,6 +290,9 @@ for (const viewport of [WIDE, NARROW]) {
       assert.ok((await click("whole")).views[0].scale < scale);
       await page.selectOption("#rate", "4");
       assert.equal((await state(page)).rate, 4);
+      await page.keyboard.press("Space"); // the button that was clicked last does not take the key
+      assert.equal((await state(page)).playing, true);
+      await page.keyboard.press("Space");
       await click("help");
       await page.click("#keys button");
       await click("theme");
@@ -572,6 +575,7 @@ for (const [how, damage] of Object.entries(damaged)) {
     writeFileSync(file, damage(readFileSync(join(PAGES, "one.html"), "utf8")));
     await withPage("one", { file, complains: true }, async (page) => {
       await page.waitForFunction(() => document.getElementById("message").textContent.startsWith("The film cannot be shown: "));
+      assert.match(await page.textContent("#message"), /^The film cannot be shown: its data are (damaged|cut off)\.$/);
       assert.equal(await page.locator("#app").isVisible(), false);
       assert.equal(await page.locator("#message").isVisible(), true);
     });

@@ -8,7 +8,7 @@ import { bucketsOf, bytesOf, forEachPresent, inflate, opened, spanAt, summed, su
 import { beside } from "../../rail_sumo/pictures/replay/road.js";
 import { Camera } from "../../rail_sumo/pictures/replay/camera.js";
 import { clock, outcome, signed, tick } from "../../rail_sumo/pictures/replay/words.js";
-import { clockBase, countUntil, decisionAt, frameAt, letterAt, linkedMoment, momentsOf, neighbour } from "../../rail_sumo/pictures/replay/timeline.js";
+import { clockBase, countUntil, decisionAt, frameAt, letterAt, linkedMoment, momentsOf, neighbour, overtakesOf } from "../../rail_sumo/pictures/replay/timeline.js";
 import { commandOf } from "../../rail_sumo/pictures/replay/controls.js";
 import { drivenDistance, poseInSpan, poseOf, turned } from "../../rail_sumo/pictures/replay/motion.js";
 import { rangeOf } from "../../rail_sumo/pictures/replay/curves.js";
@@ -62,6 +62,8 @@ test("who is present: spans with a gap between them, over the border of a bucket
     return found;
   };
   assert.deepEqual([59, 60, 64, 69, 70, 80, 81].map(present), [[2], [0, 2], [0, 2], [0, 2], [2], [1, 2], [2]]);
+  const short = film([{ vehicle: 3, first: 63, x: [0, 0] }], { nFrames: 200 });
+  assert.deepEqual([62, 63, 64, 65].map((frame) => spanAt(short, 3, frame)), [-1, 0, 0, -1]);
   assert.equal(spanAt(some, 0, 75), -1);
   assert.equal(spanAt(some, 0, 80), 1);
 });
@@ -91,8 +93,11 @@ test("who leaps stays until it has leapt, and the leap is not driven", () => {
 });
 
 test("a step sideways without a turn, as SUMO's lane changes are, is gone evenly", () => {
-  const some = film([{ vehicle: 0, first: 0, x: [0, 0], y: [0, 350], speed: [10, 10] }]);
-  assert.ok(Math.abs(poseInSpan(some, 0, 0.5, {}).y - 1.75) < 1e-9);
+  const some = film([{ vehicle: 0, first: 0, x: [0, 0], y: [0, 350], speed: [100, 100] }]);
+  for (const share of [0.25, 0.5]) {
+    const { x, y } = poseInSpan(some, 0, share, {});
+    assert.ok(Math.abs(x) < 1e-9 && Math.abs(y - 3.5 * share) < 1e-9, `${x} ${y}`);
+  }
 });
 
 test("angles turn the short way round", () => {
@@ -115,6 +120,12 @@ test("the decision in force, and the marks before and after", () => {
   assert.deepEqual(moments, [1, 2, 3]);
   assert.deepEqual(momentsOf(films, ({ marks }) => marks, ({ kind }) => kind === "b"), [2, 3]);
   assert.deepEqual([neighbour(moments, 2, 1), neighbour(moments, 2, -1), neighbour(moments, 3, 1), neighbour(moments, 0, -1)], [3, 1, null, null]);
+});
+
+test("overtakes of several at once count as many", () => {
+  const marks = [{ frame: 1, kind: "overtake", text: "" }, { frame: 3, kind: "overtake", text: "3" }, { frame: 4, kind: "refused", text: "2" }];
+  const overtakes = overtakesOf(marks);
+  assert.deepEqual([0, 1, 2, 3, 9].map((frame) => countUntil(overtakes, frame)), [0, 1, 1, 4, 4]);
 });
 
 test("clock, ticks and links", () => {

@@ -19,7 +19,6 @@ export const PALETTES = {
     paper: "#ffffffd9",
     ray: "#d55e00",
     rail: "#66727a",
-    glass: "#ffffff",
     chosen: "#0b57d0",
   },
   dark: {
@@ -36,7 +35,6 @@ export const PALETTES = {
     paper: "#14181bd9",
     ray: "#ff8a33",
     rail: "#93a0a8",
-    glass: "#14181b",
     chosen: "#8ab4f8",
   },
 };

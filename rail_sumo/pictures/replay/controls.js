@@ -81,6 +81,10 @@ export function listen(act) {
   const rate = document.getElementById("rate");
   rate.append(...RATES.map((value) => new Option(`${value}×`, value)));
   rate.addEventListener("change", () => act("rate", Number(rate.value)));
+  rate.addEventListener("change", () => rate.blur()); // so that keys act on the film again
+  document.addEventListener("click", ({ target, detail }) => {
+    if (detail > 0 && target instanceof Element) target.closest("button")?.blur(); // else Space would press it once more
+  });
   document.addEventListener("keydown", (event) => {
     const dialog = document.getElementById("keys");
     if (dialog.open && event.key !== "?") return;

@@ -3,6 +3,9 @@
 export const FORMAT = 1;
 const FRAMES_IN_BUCKET = 64;
 
+/** Why a film cannot be shown, as the page says it. */
+export class Unfit extends Error {}
+
 /** Base64 text -> bytes. */
 export function bytesOf(base64) {
   const text = atob(base64.trim());
@@ -26,7 +29,7 @@ export function opened(raw) {
     places.set(name, { count, from: offset, to: offset + size });
     offset += size;
   }
-  if (offset !== raw.length) throw new Error("the data are cut off");
+  if (offset !== raw.length) throw new Unfit("its data are cut off");
   const stream = (name) => {
     const { count, from, to } = places.get(name);
     return varints(raw.subarray(from, to), count);
@@ -50,7 +53,7 @@ export function varints(bytes, count) {
     } while (byte >= 0x80);
     values[k] = value % 2 ? -(value + 1) / 2 : value / 2;
   }
-  if (at !== bytes.length) throw new Error("the data are damaged");
+  if (at !== bytes.length) throw new Unfit("its data are damaged");
   return values;
 }
 

@@ -3,30 +3,29 @@
 import { PALETTES } from "./colours.js";
 import { Card } from "./card.js";
 import { Curves } from "./curves.js";
-import { FORMAT, bytesOf, filmOf, groundOf, inflate } from "./decode.js";
+import { FORMAT, Unfit, bytesOf, filmOf, groundOf, inflate } from "./decode.js";
 import { Road } from "./road.js";
 import { Stage } from "./stage.js";
 import { Timeline } from "./marks.js";
 import { KMH, MARKS, clock, kmh, signed } from "./words.js";
 import { canRecord, compose, offer, recorderOf, savePicture } from "./save.js";
-import { clockBase, countUntil, durationOf, frameAt, linkedMoment, momentsOf, neighbour } from "./timeline.js";
+import { clockBase, countUntil, durationOf, frameAt, linkedMoment, momentsOf, neighbour, overtakesOf } from "./timeline.js";
 import { drivenDistance, poseOf } from "./motion.js";
 import { listen } from "./controls.js";
 
 const LINK_EVERY_MS = 1000;
-const LONG_CLOCK_S = 600; // from here on the clock shows hours and minutes
+const LONG_CLOCK_S = 3600; // from here on the clock shows hours and minutes
 const LONGEST_STEP_S = 0.25; // a page that was in the background goes on where it was
 
 const byId = (id) => document.getElementById(id);
 
 async function unpack() {
   const head = JSON.parse(byId("head").textContent);
-  if (head.format !== FORMAT) throw new Error("the data are of another version");
+  if (head.format !== FORMAT) throw new Unfit("its data are of another version");
   const raw = (id) => inflate(bytesOf(byId(id).textContent));
   const ground = groundOf(await raw("ground"), head.quanta);
   const films = [];
   while (byId(`film-${films.length}`)) films.push(filmOf(await raw(`film-${films.length}`), head));
-  for (const data of document.querySelectorAll("script[type='application/octet-stream']")) data.remove(); // it is unpacked
   return { head, ground, films };
 }
 
@@ -45,7 +44,7 @@ class Page {
     const hasHost = films.some((film) => film.driven);
     this.options = { follows: hasHost, rays: true, names: !hasHost, palette: PALETTES.light, topMps: topSpeed(films) };
     this.distances = films.map((film) => (film.driven ? drivenDistance(film, film.driven.vehicle) : null));
-    this.passes = films.map((film) => (film.driven?.marks ?? []).filter((mark) => mark.kind === "overtake"));
+    this.passes = films.map((film) => overtakesOf(film.driven?.marks ?? []));
     this._build(hasHost);
     listen((name, value) => this.act(name, value));
     this._readTheme();
@@ -278,7 +277,7 @@ class Page {
     if (text === this.differenceText) return;
     this.differenceText = text;
     const lead = document.createElement("span");
-    lead.textContent = "B beside A:";
+    lead.textContent = "B compared with A:";
     byId("difference").replaceChildren(
       lead,
       ...pieces.map(([what, value]) => {
@@ -406,7 +405,7 @@ function fillList(list, entries) {
 async function begin() {
   try {
     if (typeof DecompressionStream === "undefined") {
-      throw new Error("this browser cannot unpack it; any of 2023 or later will do");
+      throw new Unfit("this browser cannot unpack it; any of 2023 or later will do");
     }
     const page = new Page(await unpack());
     page.start();
@@ -414,7 +413,7 @@ async function begin() {
   } catch (error) {
     byId("app").hidden = true;
     byId("message").hidden = false;
-    byId("message").textContent = `The film cannot be shown: ${error.message || "its data are damaged"}.`;
+    byId("message").textContent = `The film cannot be shown: ${error instanceof Unfit ? error.message : "its data are damaged"}.`;
     console.warn(error);
   }
 }

@@ -50,6 +50,12 @@ export function neighbour(moments, elapsed, direction) {
   return moments.findLast((moment) => moment < elapsed - AS_GOOD_AS_THERE_S) ?? null;
 }
 
+/** The overtakes among marks, each vehicle's one entry: a mark of several at once says how many they were. */
+export function overtakesOf(marks) {
+  const several = ({ text }) => (/^\d+$/.test(text) ? Number(text) : 1);
+  return marks.filter(({ kind }) => kind === "overtake").flatMap((mark) => Array(several(mark)).fill(mark));
+}
+
 /** SUMO's letter at a frame, from the list of changes; "" before the first. */
 export function letterAt(changes, frame) {
   let letter = "";

@@ -9,7 +9,10 @@ const BODY_PX = 11; // long enough to be drawn with a windscreen
 const BOX_PX = 4; // long enough to be drawn as a box
 const NAMES_PX = 3; // pixels a metre from which names are drawn
 const MOST_NAMES = 120;
+const NAME_PX = 12; // how high a name is
 const MANY_DOTS = 400; // their outlines would cover the road
+const [DARK_GLASS, LIGHT_GLASS] = ["#20282d", "#dfe6ea"];
+const DARK_SHADES = 14; // of the shades, on which glass is light
 const LONG_M = 6.5; // from here on it has a cab
 
 /** Everybody in view at a frame with its fraction. */
@@ -121,7 +124,7 @@ export function drawVehicles(context, camera, seen, look) {
       const shade = shadeOf(pose.speed, look.topMps);
       if (!dots.has(shade)) dots.set(shade, []);
       dots.get(shade).push(pose);
-    } else drawBody(context, camera, pose, SHADES[shadeOf(pose.speed, look.topMps)], look);
+    } else drawBody(context, camera, pose, shadeOf(pose.speed, look.topMps), look);
   }
   context.setTransform(ratio, 0, 0, ratio, 0, 0);
   drawDots(context, camera, dots, look.palette);
@@ -165,10 +168,11 @@ function drawApart(context, camera, pose, look) {
   context.globalAlpha = 0.75;
   context.stroke();
   context.globalAlpha = 1;
-  drawBody(context, camera, pose, isHost ? colour : SHADES[shadeOf(pose.speed, look.topMps)], look);
+  drawBody(context, camera, pose, isHost ? null : shadeOf(pose.speed, look.topMps), look);
 }
 
-function drawBody(context, camera, pose, fill, look) {
+/** Without a shade it is the host. */
+function drawBody(context, camera, pose, shade, look) {
   const { scale, ratio } = camera;
   const [x, y] = camera.toScreen(pose.x, pose.y);
   const [cos, sin] = [Math.cos(pose.heading) * ratio, Math.sin(pose.heading) * ratio];
@@ -176,7 +180,7 @@ function drawBody(context, camera, pose, fill, look) {
   const long = Math.max(pose.size.lengthM * scale, 6) / 2;
   const wide = Math.max(pose.size.widthM * scale, 3) / 2;
   const isSensed = look.sensed.has(pose.vehicle);
-  context.fillStyle = fill;
+  context.fillStyle = shade === null ? look.palette.host : SHADES[shade];
   context.strokeStyle = isSensed ? look.palette.host : look.palette.outline;
   context.lineWidth = isSensed ? 2.5 : 1;
   context.beginPath();
@@ -207,14 +211,14 @@ function drawBody(context, camera, pose, fill, look) {
   context.closePath();
   context.stroke();
   context.fill();
-  drawWindscreen(context, long, wide, hasCab, look.palette, scale);
+  drawWindscreen(context, long, wide, hasCab, shade !== null && shade < DARK_SHADES, scale);
 }
 
-function drawWindscreen(context, long, wide, hasCab, palette, scale) {
+function drawWindscreen(context, long, wide, hasCab, isDark, scale) {
   const front = hasCab ? long - 0.35 * scale : 0.42 * long;
   const back = hasCab ? long - 1.1 * scale : 0.12 * long;
-  context.fillStyle = palette.outline;
-  context.globalAlpha = 0.78;
+  context.fillStyle = isDark ? LIGHT_GLASS : DARK_GLASS;
+  context.globalAlpha = 0.85;
   context.beginPath();
   context.moveTo(back, -0.68 * wide);
   context.lineTo(front, -0.82 * wide);
@@ -234,10 +238,16 @@ export function drawNames(context, camera, seen, look) {
   context.textAlign = "center";
   context.textBaseline = "bottom";
   context.lineJoin = "round";
-  for (const pose of seen.slice(0, MOST_NAMES)) {
+  const isApart = (pose) => pose.vehicle === look.host || pose.vehicle === look.chosen;
+  const placed = []; // names do not lie on one another: the host's and the chosen one's come first
+  for (const pose of [...seen.filter(isApart), ...seen.filter((other) => !isApart(other))]) {
+    if (placed.length >= MOST_NAMES) break;
     const [x, y] = camera.toScreen(pose.x, pose.y);
     const above = (Math.abs(Math.sin(pose.heading)) * pose.size.lengthM * camera.scale) / 2;
     const top = y - Math.max(above, (pose.size.widthM * camera.scale) / 2) - 3;
+    const half = context.measureText(pose.size.id).width / 2;
+    if (placed.some((other) => Math.abs(other.x - x) < other.half + half + 2 && Math.abs(other.top - top) < NAME_PX)) continue;
+    placed.push({ x, top, half });
     context.lineWidth = 3;
     context.strokeStyle = look.palette.paper;
     context.strokeText(pose.size.id, x, top);

@@ -62,7 +62,7 @@ export function signed(value, digits = 0) {
   return `${zero ? "±" : value < 0 ? "−" : "+"}${text}`;
 }
 
-/** A moment as the clock shows it: seconds, or hours, minutes and seconds from ten minutes on. */
+/** A moment as the clock shows it: seconds, or where it is long, hours, minutes and seconds. */
 export function clock(seconds, { long = false } = {}) {
   if (!long) return `${seconds.toFixed(1)} s`;
   const tenths = Math.round(seconds * 10);
