@@ -11,12 +11,11 @@ from gymnasium import spaces
 from rail_sumo import assets
 from rail_sumo.config import Config
 from rail_sumo.errors import InputError
-from rail_sumo.highway import entry, metrics, sumo_process, varied
+from rail_sumo.highway import entry, sumo_process, varied
 from rail_sumo.highway.adas import lanes_leading_on
 from rail_sumo.highway.agent import Agent
 from rail_sumo.highway.network import demand, road
 from rail_sumo.highway.observation import bounds
-from rail_sumo.highway.reward import reward
 from rail_sumo.highway.simulation import HOST, Simulation
 from rail_sumo.highway.stretch import Stretch
 from rail_sumo.highway.traffic import MovingWindow
@@ -85,7 +84,7 @@ class HighwayEnv(gymnasium.Env[Floats, np.int64]):
         except BaseException:
             self.close()  # or no other environment could begin in this process
             raise
-        return self._look(0), self._info()
+        return self._look(0), self.agent.info(self._seed)
 
     def _outputs_of_host(self) -> Sequence[str]:
         """Return SUMO's options for outputs, which name the host: of a car yet to be drawn it is drawn once before."""
@@ -166,26 +165,10 @@ class HighwayEnv(gymnasium.Env[Floats, np.int64]):
         names of the `episodes` table, and `is_success`: whether it ended without a contact. Its whole course is
         `trajectory`.
         """
+        observation, _ = self.drive(int(action))
         agent = self.agent
-        before = (agent.overtakes, agent.overtaken, agent.refused_decisions)
-        observation, driven = self.drive(int(action))
         crashed = agent.end == "collision"
-        earned = reward(
-            *agent.last(driven),
-            self.world.adas,
-            overtakes=agent.overtakes - before[0],
-            overtaken=agent.overtaken - before[1],
-            refused_decisions=agent.refused_decisions - before[2],
-            collisions=int(crashed),
-        )
-        return observation, earned, crashed, self.is_over and not crashed, self._info()
-
-    def _info(self) -> dict[str, Any]:
-        info: dict[str, Any] = {"action_mask": np.array(self.agent.mask, np.int8)}
-        if self.is_over:
-            info |= metrics.row(self.trajectory(), self.world.adas)
-            info["is_success"] = self.agent.end != "collision"
-        return info
+        return observation, agent.earned(), crashed, self.is_over and not crashed, agent.info(self._seed)
 
     @sumo_process.as_input_errors
     def drive(self, action: int) -> tuple[Floats, int]:
