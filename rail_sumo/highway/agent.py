@@ -93,6 +93,8 @@ class Agent:
         """What it saw at the last look."""
         self.scene: Scene
         """Itself and the vehicles around it at the last look."""
+        self.decided: tuple[MetaAction, MetaAction] | None = None
+        """Its last decision, and what of it was carried out; None before the first."""
         self.overtakes = self.overtaken = 0
         self._travelled_m = 0.0  # at the last look, ...
         self._n_looked_back = 1  # ... when the host had noted so many speeds
@@ -177,6 +179,7 @@ class Agent:
         """Take a decision for the steps until the next falls due."""
         self._at_decision = (self.n_steps, self.overtakes, self.overtaken, self.refused_decisions)
         carried_out = self._adas.decide(action, self.state, self.gaps)
+        self.decided = action, carried_out
         if self._keeps_trajectory:
             self._observations.append(self.observation)
             self._decisions.append(action)

@@ -11,9 +11,10 @@ from typing import Any
 import gymnasium
 import numpy as np
 from gymnasium import spaces
+from numpy.typing import NDArray
 
 from rail_sumo.config import Config
-from rail_sumo.highway.env import HighwayEnv
+from rail_sumo.highway.env import HighwayEnv, checked, metadata_of
 from rail_sumo.highway.observation import bounds
 from rail_sumo.records import Floats, MetaAction, Trajectory
 
@@ -97,10 +98,12 @@ class Isolated(gymnasium.Env[Floats, np.int64]):
 
     metadata = HighwayEnv.metadata
 
-    def __init__(self, config: Config, **further: Any) -> None:
+    def __init__(self, config: Config, *, render_mode: str | None = None, **further: Any) -> None:
+        self.render_mode = checked(render_mode)
+        self.metadata = metadata_of(config)
         self.observation_space = spaces.Box(*bounds(config.lidar, config.observation), dtype=np.float64)
         self.action_space = spaces.Discrete(len(MetaAction))
-        self._child = Child(HighwayEnv, config, **further)
+        self._child = Child(HighwayEnv, config, render_mode=render_mode, **further)
 
     def reset(self, *, seed: int | None = None, options: dict[str, Any] | None = None) -> tuple[Floats, dict[str, Any]]:
         """Begin an episode; the same seed gives the same traffic."""
@@ -110,6 +113,12 @@ class Isolated(gymnasium.Env[Floats, np.int64]):
     def step(self, action: int | np.int64) -> tuple[Floats, float, bool, bool, dict[str, Any]]:
         """Take one decision and drive until the next falls due."""
         return self._child.ask("step", int(action))
+
+    def render(self) -> NDArray[np.uint8] | None:
+        """Return the road around the host, see `HighwayEnv`; a window is the child's own."""
+        if self.render_mode is None:
+            gymnasium.logger.warn("render() shows nothing without a render_mode; make the environment with one")
+        return self._child.ask("render") if self.render_mode == "rgb_array" else None
 
     def action_masks(self) -> list[bool]:
         """Return for each meta-action whether a masked policy may choose it now."""

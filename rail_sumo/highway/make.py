@@ -38,6 +38,9 @@ def make(config: Given = None, *, isolated: bool = False, **further: Any) -> Hig
     return kind(config_file.of(config), **further)
 
 
+make.metadata = HighwayEnv.metadata  # type: ignore[attr-defined]  # gymnasium.make reads there what can be rendered
+
+
 def make_vec(num_envs: int = 1, *, config: Given = None, **further: Any) -> AsyncVectorEnv:
     """Return several environments, each in a process of its own; arguments as in `make`."""
     one = partial(HighwayEnv, config_file.of(config), **further)
