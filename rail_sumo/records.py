@@ -138,7 +138,9 @@ class Command(NamedTuple):
     """+1 to ask those in the lane to the left to let it in, as by its indicator, -1 those to the right."""
 
 
-EndReason = Literal["course", "duration", "collision", "end of road", "standstill", "not begun", "SUMO stopped"]
+EndReason = Literal[
+    "course", "duration", "collision", "end of road", "standstill", "left the road", "not begun", "SUMO stopped"
+]
 UNDRIVEN: tuple[EndReason, ...] = ("not begun", "SUMO stopped")
 """Why an episode has no figures."""
 
