@@ -1,12 +1,18 @@
 """Every example runs, with less to do than by itself, and tells what it promises."""
 
 import importlib.util
+import re
+import subprocess
+import sys
 from pathlib import Path
 
 import numpy as np
 import pytest
 
-EXAMPLES = Path(__file__).parent.parent / "examples"
+ROOT = Path(__file__).parent.parent
+EXAMPLES = ROOT / "examples"
+SHORTER = {'"file": "ring5"}': '"file": "ring5"}, "episode": {"duration_s": 5.0}', "range(30)": "range(5)"}
+"""What the programs shown in docs/environment.md have in place of something long."""
 
 
 def example(name):
@@ -59,3 +65,13 @@ def test_three_shares_are_compared_with_none(tmp_path, capsys, monkeypatch):
 def test_examples_are_short_and_each_has_its_test(path):
     assert len(path.read_text(encoding="utf-8").splitlines()) <= 40
     assert f'example("{path.stem}")' in Path(__file__).read_text(encoding="utf-8")
+
+
+def test_the_programs_of_the_page_run_in_an_empty_folder(tmp_path):
+    programs = re.findall(r"```python\n(.*?)```", (ROOT / "docs" / "environment.md").read_text(encoding="utf-8"), re.S)
+    for program in programs:
+        for long, short in SHORTER.items():
+            program = program.replace(long, short)
+        subprocess.run([sys.executable, "-W", "error", "-c", program], cwd=tmp_path, check=True)
+    assert len(programs) == 2
+    assert len(list(tmp_path.glob("films/*.mp4"))) == 1
