@@ -13,7 +13,7 @@ from rail_sumo import drivers
 from rail_sumo.config import Config
 from rail_sumo.highway.drawing import Moment, Picture, View
 from rail_sumo.highway.env import HighwayEnv
-from rail_sumo.highway.network import road
+from rail_sumo.highway.network import markings, road
 from rail_sumo.records import KMH
 
 VIEW = View(behind_m=44.0, ahead_m=66.0, right_m=8.6, left_m=8.6)
@@ -27,7 +27,7 @@ def moments(driver: str, config: Config, seed: int) -> list[Moment]:
     observation, _ = env.reset(seed=seed)
     course = env.stretch.road
     while not env.is_over:
-        found.append(Moment(env.scene, observation[:n_rays], road.markings_of(course), course.boundaries))
+        found.append(Moment(env.scene, observation[:n_rays], markings.of(course), course.boundaries))
         observation, _ = env.drive(supervisor.decide(observation, env.agent))
     env.close()
     return found

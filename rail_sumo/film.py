@@ -39,6 +39,11 @@ class Lane:
     """What is painted between it and the next lane of its edge from the kerb on, "none" where there is none; "solid"
     where nobody may change over."""
 
+    @property
+    def edge(self) -> str:
+        """The id of its edge."""
+        return self.id.rpartition("_")[0]
+
 
 @dataclass(frozen=True, slots=True)
 class StopLine:

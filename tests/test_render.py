@@ -16,7 +16,7 @@ from rail_sumo.errors import InputError
 from rail_sumo.highway import drawing, window
 from rail_sumo.highway.drawing import Moment, Picture, View
 from rail_sumo.highway.env import HighwayEnv
-from rail_sumo.highway.network import road
+from rail_sumo.highway.network import markings, road
 from rail_sumo.records import Scene
 
 ID = "RailSumo/Highway-v0"
@@ -49,7 +49,7 @@ def make():
 def moment(boxes, distances, *, network="highway5", **further):
     scene = Scene(0.0, [str(k) for k in range(len(boxes))], np.array(boxes, dtype=float).T.copy())
     course = road.load(network)
-    return Moment(scene, np.array(distances, dtype=float), road.markings_of(course), course.boundaries, **further)
+    return Moment(scene, np.array(distances, dtype=float), markings.of(course), course.boundaries, **further)
 
 
 def drawn(one):
@@ -130,15 +130,15 @@ def test_what_is_told_in_the_mirror_is_shown_as_it_is():
 
 
 def test_the_markings_of_a_straight_road_are_its_lanes():
-    markings = road.markings_of(road.load("highway5"))
+    drawn = markings.of(road.load("highway5"))
     length = road.load("highway5").length_m
-    assert markings.asphalt[:, :, 1].min() == pytest.approx(-8.0)
-    areas = np.ptp(markings.asphalt[:, :, 0], axis=1) * np.ptp(markings.asphalt[:, :, 1], axis=1)
+    assert drawn.asphalt[:, :, 1].min() == pytest.approx(-8.0)
+    areas = np.ptp(drawn.asphalt[:, :, 0], axis=1) * np.ptp(drawn.asphalt[:, :, 1], axis=1)
     assert areas.sum() == pytest.approx(16.0 * length)
-    assert np.unique(markings.borders[:, :, 1].round(6)).tolist() == [-8.0, 8.0]
-    assert np.unique(markings.dashes[:, :, 1].round(6)).tolist() == [-4.8, -1.6, 1.6, 4.8]
-    np.testing.assert_allclose(np.diff(markings.dashes[:100, :, 0], axis=1), 3.0)
-    assert np.ptp(markings.asphalt[:, :, 0], axis=1).max() <= 20.0
+    assert np.unique(drawn.borders[:, :, 1].round(6)).tolist() == [-8.0, 8.0]
+    assert np.unique(drawn.dashes[:, :, 1].round(6)).tolist() == [-4.8, -1.6, 1.6, 4.8]
+    np.testing.assert_allclose(np.diff(drawn.dashes[:100, :, 0], axis=1), 3.0)
+    assert np.ptp(drawn.asphalt[:, :, 0], axis=1).max() <= 20.0
 
 
 # Frames of an episode.

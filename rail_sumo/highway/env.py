@@ -16,7 +16,7 @@ from rail_sumo.errors import InputError, did_you_mean
 from rail_sumo.highway import drawing, entry, sumo_process, varied, window
 from rail_sumo.highway.adas import lanes_leading_on
 from rail_sumo.highway.agent import Agent
-from rail_sumo.highway.network import demand, road
+from rail_sumo.highway.network import demand, markings, road
 from rail_sumo.highway.observation import bounds
 from rail_sumo.highway.simulation import HOST, Simulation
 from rail_sumo.highway.stretch import Stretch
@@ -316,7 +316,7 @@ class HighwayEnv(gymnasium.Env[Floats, np.int64]):
         moment = drawing.Moment(
             agent.scene,
             agent.observation[: self.config.lidar.n_rays],
-            road.markings_of(course),
+            markings.of(course),
             course.boundaries,
             is_left_hand=course.is_left_hand,
         )

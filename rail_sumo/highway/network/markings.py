@@ -1,10 +1,15 @@
 """What a network looks like from above: asphalt, its borders and its lane markings, in short pieces."""
 
-from typing import Any, NamedTuple
+from functools import lru_cache
+from pathlib import Path
+from typing import NamedTuple
 
 import numpy as np
 
+from rail_sumo.highway.network import ground
 from rail_sumo.highway.network.borders import offset
+from rail_sumo.highway.network.road import Road
+from rail_sumo.highway.network.sumo_xml import state_of
 from rail_sumo.records import Floats
 
 PIECE_M = 20.0
@@ -20,7 +25,7 @@ class Markings(NamedTuple):
     junctions: list[Floats]
     """(n_corners, 2) of each junction."""
     borders: Floats
-    """(n, 2, 2): the ends of pieces of solid lines, at the edges' sides."""
+    """(n, 2, 2): the ends of pieces of solid lines, at the edges' sides and where nobody may change lanes."""
     dashes: Floats
     """(n, 2, 2): the ends of dashes, between lanes."""
 
@@ -31,45 +36,55 @@ class Markings(NamedTuple):
         return Markings(self.asphalt * mirror, junctions, self.borders * mirror, self.dashes * mirror)
 
 
-def of(net: Any) -> Markings:
-    """Return the markings of a network, as sumolib has it. Lanes and junctions without an extent have none."""
+def of(road: Road) -> Markings:
+    """Return what the whole network of a road looks like, told in the mirror if the road is.
+
+    Lanes and junctions without an extent have no markings.
+    """
+    return _of(road.net_file, state_of(road.net_file))
+
+
+@lru_cache(maxsize=4)
+def _of(path: Path, state: tuple[int, int]) -> Markings:
+    below = ground.whole(str(path))
+    sides = (1.0, -1.0) if below.is_left_hand else (-1.0, 1.0)  # leftwards: the kerb's, and the other
     asphalt: list[Floats] = []
-    borders: list[Floats] = []
+    solid: list[Floats] = []
     dashes: list[Floats] = []
-    for edge in net.getEdges(withInternal=True):
-        lanes = [_line(lane) for lane in edge.getLanes()]
-        for number, (lane, line) in enumerate(zip(edge.getLanes(), lanes, strict=True)):
-            if len(line) < 2:
-                continue
-            left, right = (offset(line, side * lane.getWidth() / 2) for side in (1.0, -1.0))
-            asphalt.append(np.stack([left[:-1], left[1:], right[1:], right[:-1]], axis=1))
-            if edge.getFunction() == "internal":
-                continue
-            if number == 0:
-                borders.append(_pieces(right))
-            if number == len(lanes) - 1:
-                borders.append(_pieces(left))
-            else:
-                dashes.append(_dashes(left))
-    junctions = [np.array(node.getShape()) for node in net.getNodes()]
-    return Markings(
+    edge = ""
+    for lane in below.lanes:  # edge by edge, from the kerb
+        is_first, edge = lane.edge != edge, lane.edge
+        line = _line(lane.points)
+        if len(line) < 2:
+            continue
+        kerb, away = (offset(line, side * lane.width_m / 2) for side in sides)
+        asphalt.append(np.stack([kerb[:-1], kerb[1:], away[1:], away[:-1]], axis=1))
+        if lane.is_inside:
+            continue
+        if is_first:
+            solid.append(_pieces(kerb))
+        if lane.left_line == "dashed":
+            dashes.append(_dashes(away))
+        else:
+            solid.append(_pieces(away))
+    found = Markings(
         np.concatenate([np.empty((0, 4, 2)), *asphalt]),
-        [corners[:, :2] for corners in junctions if len(corners) > 2],
-        np.concatenate([np.empty((0, 2, 2)), *borders]),
+        list(below.junctions),
+        np.concatenate([np.empty((0, 2, 2)), *solid]),
         np.concatenate([np.empty((0, 2, 2)), *dashes]),
     )
+    return found.mirrored() if below.is_left_hand else found
 
 
-def _line(lane: Any) -> Floats:
+def _line(points: Floats) -> Floats:
     """Return the middle of a lane, shape (n_points, 2), with points no farther apart than `PIECE_M`."""
-    shape = np.array(lane.getShape(), dtype=np.float64).reshape(-1, 2)
-    if len(shape) < 2:
-        return shape
-    along_m = _along_m(shape)
+    if len(points) < 2:
+        return points
+    along_m = _along_m(points)
     if along_m[-1] == 0.0:
-        return shape[:1]
+        return points[:1]
     between = np.linspace(0.0, along_m[-1], int(along_m[-1] // PIECE_M) + 2)
-    return _at(shape, np.union1d(along_m, between))
+    return _at(points, np.union1d(along_m, between))
 
 
 def _along_m(line: Floats) -> Floats:

@@ -13,12 +13,11 @@ import sumolib.net
 
 from rail_sumo import assets
 from rail_sumo.errors import InputError
-from rail_sumo.highway.network import course, markings
+from rail_sumo.highway.network import course
 from rail_sumo.highway.network.borders import borders
 from rail_sumo.highway.network.course import CAR
 from rail_sumo.highway.network.edge import Edge
 from rail_sumo.highway.network.lanes import CHANGE_LEFT, CHANGE_RIGHT, survey
-from rail_sumo.highway.network.markings import Markings
 from rail_sumo.highway.network.sumo_xml import UNREADABLE, opened, state_of
 from rail_sumo.records import Floats
 
@@ -127,18 +126,6 @@ def load(file: str, wanted: tuple[str, ...] = (), *, vclass: str = CAR, limit_fa
     path = assets.network(file)
     found = _load(path, wanted, vclass, state_of(path))
     return found if limit_factor == 1.0 else _limited(found, limit_factor)
-
-
-def markings_of(road: Road) -> Markings:
-    """Return what the whole network of a road looks like from above, told in the mirror if the road is."""
-    return _markings(road.net_file, state_of(road.net_file))
-
-
-@lru_cache(maxsize=4)
-def _markings(path: Path, state: tuple[int, int]) -> Markings:
-    reader = _read(path, state)
-    found = markings.of(reader.getNet())
-    return found.mirrored() if reader.is_left_hand else found
 
 
 def require_readable(file: str) -> None:
