@@ -2,10 +2,8 @@
 
 import argparse
 
-import numpy as np
-
 import rail_sumo
-from rail_sumo import config_file, run
+from rail_sumo import config_file
 
 
 def main(arguments: list[str] | None = None) -> dict[str, dict]:
@@ -16,16 +14,12 @@ def main(arguments: list[str] | None = None) -> dict[str, dict]:
     parser.add_argument("--seed", type=int, default=1)
     given = parser.parse_args(arguments)
     world = config_file.of({"network": {"file": given.network}, "episode": {"duration_s": given.seconds}})
-    driver = run.find_driver("road-rail", world)
-    policy = driver.policy()
+    driver = rail_sumo.load_driver("road-rail")
     env = rail_sumo.parallel_env(8, world.seen_with(driver.senses))
     observations, infos = env.reset(seed=given.seed)
     ended = {}
     while env.agents:
-        actions = {}
-        for name in env.agents:
-            allowed = infos[name]["action_mask"] == 1
-            actions[name] = np.where(allowed, policy.outputs(observations[name]), -np.inf).argmax()
+        actions = {name: driver.act(observations[name], infos[name]["action_mask"]) for name in env.agents}
         observations, _, terminations, truncations, infos = env.step(actions)
         ended |= {name: infos[name] for name in infos if terminations[name] or truncations[name]}
     print(f"{'agent':8} {'vehicle':12} {'km/h':>5} {'overtakes':>9} {'lane changes':>12}  end")

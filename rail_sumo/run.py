@@ -35,6 +35,7 @@ from rail_sumo.rollout import (
     Who,
     WorkerCount,
     attempt_all,
+    driver_of,
     practise_all,
     traffic_seed,
 )
@@ -118,6 +119,28 @@ def find_driver(policy: str, world: Config, mode: str = "default") -> Who:
     _require_folder(folder)
     learned = RunDirectory(folder).policy()
     return learned if mode == "default" else learned.acting(mode)
+
+
+def load_driver(policy: str, *, mode: str = "default", seed: int = 0) -> drivers.Network:
+    """Return a learned driver, to drive wherever observations come from.
+
+    `driver.act(observation, mask)` returns a meta-action, of several observations one each; `driver.senses` tells how
+    it must sense.
+
+    Args:
+        policy: a run directory, an expert's folder, or expert, rail, road-expert or road-rail.
+        mode: "argmax" or "sampled"; by default as it was trained.
+        seed: of what it draws, if it samples.
+
+    Raises:
+        InputError: no such driver, or one that decides by more than an observation, such as `rule`.
+    """
+    who = find_driver(policy, Config(), mode)
+    driver = driver_of(who, Config(), seed)
+    if not isinstance(driver, drivers.Network):
+        learned = ("expert", *drivers.SHIPPED)
+        raise InputError(f"'{policy}' decides by more than an observation; take {', '.join(learned)}, or a folder")
+    return driver
 
 
 def evaluate(
