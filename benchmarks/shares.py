@@ -1,4 +1,4 @@
-"""Is nobody hit where many are driven: benchmarks/shares.py [ROADS] [--policies ...] [--shares ...] [--seeds 10 --first 0].
+"""Is nobody hit where many are driven: benchmarks/shares.py [ROADS] [--policies ...] [--shares ...] [--seeds 10].
 
 ROADS is a list of roads of your own, as `roads.py` takes it; highway5 and ring5 with their demand are driven beside.
 Every run begins with an empty road and lasts `--seconds`. Prints a Markdown table: vehicles that were driven, decisions
