@@ -62,7 +62,8 @@ export class Card {
   _showDecision(decision) {
     this.decision = decision;
     if (!decision) {
-      this.heading.textContent = "Before the first decision";
+      const decides = this.film.driven.decisions.length > 0;
+      this.heading.textContent = decides ? "Before the first decision" : "No decisions: SUMO’s own driver drives";
       this.outcome.textContent = "";
       this.choices.replaceChildren();
       return;

@@ -22,7 +22,7 @@ const HOLDINGS = {
   signal: "stops for the signal",
   "right of way": "gives way",
   "lane end": "slows for the end of its lane",
-  SUMO: "is held back by SUMO’s own safe speed",
+  SUMO: "drives as SUMO’s own car-following says",
 };
 
 // Each kind has a shape of its own, so that colour only helps. Paths lie in a square from -6 to 6.
