@@ -8,7 +8,7 @@ ARGS ?=
 BIN = $(VENV)/bin
 NETWORKS = $(patsubst %,networks/%.net.xml,arterial highway2 highway3 highway4 highway5 highway6 lane_drop onramp ring5)
 
-.PHONY: setup train test lint docs networks clean
+.PHONY: setup train test lint docs page-tests networks clean
 
 setup: $(VENV)/installed
 
@@ -29,6 +29,16 @@ lint: setup
 docs: $(VENV)/sphinx
 	$(BIN)/python -m sphinx --builder html --fail-on-warning --keep-going --fresh-env --quiet $(ARGS) docs build/docs
 	@echo "the site is in build/docs/index.html"
+
+# The replay page: its scripts are linted, and it is opened in a browser. Needs Node.js 20 or later, npm and Chromium.
+page-tests: setup tests/page/node_modules/installed
+	cd tests/page && npm run --silent lint
+	$(BIN)/python tests/films.py build/pages
+	cd tests/page && PAGES=$(abspath build/pages) npm test --silent
+
+tests/page/node_modules/installed: tests/page/package.json tests/page/package-lock.json
+	cd tests/page && npm ci --silent --no-audit --no-fund
+	touch $@
 
 # Rebuild the committed networks from their sources. The header that netconvert writes (a date, absolute paths) is cut.
 networks: $(VENV)/netconvert

@@ -116,7 +116,7 @@ def train(this: Training) -> pd.DataFrame:
     world = config_file.load(None, [*overrides, f"train.learner={this.learner}"])
     with tempfile.TemporaryDirectory() as folder:
         policies = (_rail if this.learner == "rail" else _gail)(this, world, Path(folder) / "run")
-    table, _ = run.evaluate(
+    table, *_ = run.evaluate(
         {**policies, "expert": run.find_driver("expert", world)}, world, episodes=this.episodes, seed=TRAFFIC
     )
     means = table.groupby("policy", sort=False)[[*SHOWN, "collisions"]].mean()

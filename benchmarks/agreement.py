@@ -113,18 +113,19 @@ class Noted(Simulation):
 
     def _step(self) -> None:
         super()._step()
+        self._noted["moved"] = self.host.sumos_lane_changes
         self._noted["teleports"] += self.host.name in libsumo.simulation.getStartingTeleportIDList()
 
 
 def episode_on_road(task: Task) -> dict[str, int]:
-    noted: dict[str, Any] = {"host": HOST, "crossings": 0, "teleports": 0}
+    noted: dict[str, Any] = {"host": HOST, "crossings": 0, "moved": 0, "teleports": 0}
     try:
         driven, entries = driven_and_told(task, functools.partial(Noted, noted=noted))
     except InputError:  # it could not begin
         return {}
     host = noted["host"]
     own = sum(entry.get("id") == host for entry in entries["lanechange"])
-    crossings = driven.lane_changes if task.driver == "sumo" else noted["crossings"]
+    crossings = driven.lane_changes if task.driver == "sumo" else noted["crossings"] + noted["moved"]
     there_and_back = 2 * driven.aborted_lane_changes + 1  # one may be under way at the end
     contacts = driven.collisions + driven.struck
     sumos = sum(host in (entry.get("collider"), entry.get("victim")) for entry in entries["collision"])

@@ -35,7 +35,7 @@ def learning_curve(given: tuple[str, int, int, int]) -> pd.DataFrame:
     world = config_file.load(None, [f"train.learner={learner}", "train.iterations=0"])
 
     def speed(driver) -> float:
-        episodes, _ = run.evaluate({"": driver}, world, episodes=EPISODES, seed=TRAFFIC)
+        episodes, *_ = run.evaluate({"": driver}, world, episodes=EPISODES, seed=TRAFFIC)
         return episodes["speed_kmh"].mean()
 
     expert = speed(run.find_driver("expert", world))

@@ -91,7 +91,7 @@ def main() -> None:
                 continue
             world = run.world([], overrides)
             who = {Path(policy).name: run.find_driver(policy, world) for policy in given.policies}
-            episodes, _ = run.evaluate(
+            episodes, *_ = run.evaluate(
                 who, world, episodes=given.episodes, seed=given.seed, workers=given.workers, reference=next(iter(who))
             )
             for policy in who:

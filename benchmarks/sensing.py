@@ -45,7 +45,7 @@ def learned(given: tuple[str, int, int]) -> pd.DataFrame:
         world = config_file.load(None, [*overrides, f"train.demonstrations={shown}"])
         trained = training.learn(world, Path(folder) / "run", seed=FIRST_SEED + seed)
         policies = {"rail": trained.policy(), "clone": trained.clone, "rule": "rule"}
-        table, _ = run.evaluate(policies, world, episodes=EPISODES, seed=TRAFFIC)
+        table, *_ = run.evaluate(policies, world, episodes=EPISODES, seed=TRAFFIC)
     means = table.groupby("policy", sort=False)[SHOWN].mean()
     ratios = means.loc[["rail", "clone"]] / means.loc["rule"]
     return ratios.reset_index().assign(variant=variant, seed=seed)

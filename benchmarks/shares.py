@@ -49,15 +49,17 @@ def main() -> None:
     parser.add_argument("--policies", nargs="+", default=["rule", "road-rail", "random"])
     parser.add_argument("--shares", nargs="+", type=float, default=[0.1, 0.5, 1.0])
     parser.add_argument("--seeds", type=int, default=10)
+    parser.add_argument("--first", type=int, default=0, help="of the seeds")
     parser.add_argument("--seconds", type=float, default=300.0)
     parser.add_argument("--workers", type=int, default=2)
     asked = parser.parse_args()
     rows = []
     with contextlib.chdir(asked.roads.parent if asked.roads else "."):
         known = OURS + (roads.listed(Path(asked.roads.name)) if asked.roads else [])
+        seeds = range(asked.first, asked.first + asked.seeds)
         work = [
             (name, options, policy, share, seed, asked.seconds)
-            for (name, options), policy, share, seed in product(known, asked.policies, asked.shares, range(asked.seeds))
+            for (name, options), policy, share, seed in product(known, asked.policies, asked.shares, seeds)
         ]
         with ProcessPoolExecutor(asked.workers, get_context("spawn")) as pool:
             for row in pool.map(drive, work):

@@ -1,13 +1,15 @@
 """How fast it drives, beside what else could drive: python benchmarks/throughput.py [--quick] [--run DIR].
 
 One table of simulated seconds per second: the whole loop with a two-layer policy, SUMO alone on the very same traffic,
-the same traffic over a TraCI socket, and highway-env; then two workers against one, and a worker's memory.
+the same traffic over a TraCI socket, and highway-env; then two workers against one, and a worker's memory; then agent
+decisions per second of the environment of several agents, beside highway-env's with as many.
 `benchmarks/README.md` says what each row is.
 """
 
 import argparse
 import importlib.util
 import itertools
+import math
 import multiprocessing
 import os
 import platform
@@ -31,6 +33,7 @@ import numpy as np
 from rich.console import Console
 from rich.table import Table
 
+import rail_sumo
 from rail_sumo import cli  # noqa: F401  spawned workers import this module again: let them carry what the CLI's carry
 from rail_sumo.config import Config
 from rail_sumo.config_file import load
@@ -47,7 +50,9 @@ VEHICLES = 20  # around the host, in every contender's world
 OF_BARE, OF_HIGHWAY_ENV, OF_ONE_WORKER, MEMORY_MB = 0.65, 100.0, 1.9, 300.0  # the marks we set ourselves
 
 Drive = Callable[[], float]
-"""Drives for a while and returns the simulated seconds per second of wall-clock time."""
+"""Drives for a while and returns the simulated seconds per second of wall-clock time, or the agent decisions."""
+AGENTS = 8
+RING = "ring5"  # whose shipped demand all agents drive in
 
 
 @dataclass(frozen=True)
@@ -58,11 +63,15 @@ class Size:
     episodes: int
     highway_env_s: int
     traci_s: int
+    agents_s: int
+    agents_highway_env_s: int
     worker_episodes: int
 
 
-FULL = Size(repeats=7, episodes=4, highway_env_s=30, traci_s=30, worker_episodes=32)
-QUICK = Size(repeats=3, episodes=1, highway_env_s=8, traci_s=8, worker_episodes=16)
+FULL = Size(
+    repeats=7, episodes=4, highway_env_s=30, traci_s=30, agents_s=120, agents_highway_env_s=10, worker_episodes=32
+)
+QUICK = Size(repeats=3, episodes=1, highway_env_s=8, traci_s=8, agents_s=30, agents_highway_env_s=4, worker_episodes=16)
 
 
 @dataclass
@@ -186,6 +195,77 @@ def highway_env(seconds: int) -> float:
         over = terminated or truncated
     env.close()
     return seconds / spent
+
+
+def agents_of_ours(seconds: int) -> float:
+    """Let `AGENTS` cars keep their lanes; returns agent decisions per second of the core, resetting not timed."""
+    env = rail_sumo.parallel_env(AGENTS, ring(seconds))
+    env.reset(seed=0)
+    while len(env.agents) < AGENTS:  # they depart within seconds of one another
+        env.step(dict.fromkeys(env.agents, 0))
+    decisions, started = 0, time.process_time()
+    for _ in range(seconds):
+        decisions += len(env.agents)
+        env.step(dict.fromkeys(env.agents, 0))
+    spent = time.process_time() - started
+    env.close()
+    return decisions / spent
+
+
+def ring(seconds: int) -> dict[str, Any]:
+    """Return the world of the agents, whose episodes last longer than they are driven."""
+    return {
+        "network": {"file": RING},
+        "traffic": {"entry_within_s": 0.0},
+        "episode": {"course_m": math.inf, "duration_s": 2.0 * seconds + 600.0},
+    }
+
+
+def vehicles_on_the_ring() -> int:
+    """Return how many vehicles share the road with the agents, these included, once all have entered."""
+    env = rail_sumo.parallel_env(AGENTS, ring(1))
+    env.reset(seed=0)
+    while len(env.agents) < AGENTS:
+        env.step(dict.fromkeys(env.agents, 0))
+    number = libsumo.vehicle.getIDCount()
+    env.close()
+    return int(number)
+
+
+def agents_of_highway_env(seconds: int, vehicles: int) -> float:
+    """Drive highway-env with `AGENTS` controlled vehicles, all idle; returns agent decisions per second of the core.
+
+    Making and resetting it is not timed.
+    """
+    import gymnasium
+    import highway_env
+
+    gymnasium.register_envs(highway_env)
+    settings = {
+        "lanes_count": 5,
+        "controlled_vehicles": AGENTS,
+        "vehicles_count": vehicles - AGENTS,
+        "observation": {
+            "type": "MultiAgentObservation",
+            "observation_config": {"type": "LidarObservation", "cells": 24},
+        },
+        "action": {"type": "MultiAgentAction", "action_config": {"type": "DiscreteMetaAction"}},
+        "simulation_frequency": 10,
+        "policy_frequency": 1,
+        "duration": seconds,
+    }
+    # Its checkers take the environment of one agent for granted.
+    env = gymnasium.make("highway-fast-v0", config=settings, disable_env_checker=True)
+    seed, over, spent = itertools.count(), True, 0.0
+    for _ in range(seconds):
+        if over:
+            env.reset(seed=next(seed))
+        started = time.process_time()
+        _, _, terminated, truncated, _ = env.step((1,) * AGENTS)
+        spent += time.process_time() - started
+        over = terminated or truncated
+    env.close()
+    return AGENTS * seconds / spent
 
 
 @contextmanager
@@ -312,15 +392,43 @@ def table(rows: list[Row], bare: Row, other: Row | None, marks: dict[str, str]) 
     return shown
 
 
+def table_of_agents(rows: list[Row], vehicles: int) -> Table:
+    """Return the rows of the environments of several agents."""
+    title = f"agent decisions per second of one core: {AGENTS} agents among {vehicles} vehicles"
+    shown = Table(title=title, title_justify="left")
+    for heading in ("", "median", "min .. max", "x highway-env"):
+        shown.add_column(heading, justify="right" if heading else "left")
+    for row in rows:
+        spread = f"{min(row.speeds):,.0f} .. {max(row.speeds):,.0f}"
+        beside = f"{row.median / rows[1].median:.1f}" if len(rows) > 1 else ""
+        shown.add_row(row.name, f"{row.median:,.0f}", spread, beside)
+    return shown
+
+
+def measure_agents(size: Size) -> Table:
+    """Measure the environment of several agents, beside highway-env's if it is installed."""
+    vehicles = vehicles_on_the_ring()
+    rows = [Row(f"rail_sumo.parallel_env, {RING}", partial(agents_of_ours, size.agents_s))]
+    if importlib.util.find_spec("highway_env"):
+        other = partial(agents_of_highway_env, size.agents_highway_env_s, vehicles)
+        rows.append(Row("highway-env, highway-fast-v0", other))
+    interleave(rows, size.repeats)
+    return table_of_agents(rows, vehicles)
+
+
 def main() -> None:
     """Measure and print."""
     parser = argparse.ArgumentParser(description=__doc__.partition("\n")[0])
     parser.add_argument("--run", type=Path, help="a run directory whose policy drives; else a clone of the expert")
+    parser.add_argument("--agents", action="store_true", help="measure the environments of several agents alone")
     parser.add_argument("--quick", action="store_true", help="a short run, to see that it works")
     arguments = parser.parse_args()
     size = QUICK if arguments.quick else FULL
     console = Console(width=120)
     describe_machine(console)
+    if arguments.agents:
+        console.print(measure_agents(size))
+        return
 
     config = load(None, [f"traffic.vehicles={VEHICLES}"])
     driver = policy_of(arguments.run, config)
@@ -357,6 +465,7 @@ def main() -> None:
     used = ", ".join(f"{name} {max(worker[name] for worker in memory):.0f}" for name in memory[0])
     shown.caption = f"A worker's memory, MB: {used}; mark: < {MEMORY_MB:.0f}."
     console.print(shown)
+    console.print(measure_agents(size))
 
 
 def describe_machine(console: Console) -> None:

@@ -46,8 +46,8 @@ Overrides = Annotated[
 _NETWORK = "A .net.xml, a .sumocfg with its demand, or a shipped network's name."
 NetworkFile = Annotated[str | None, typer.Option(metavar="FILE", help=_NETWORK)]
 Routes = Annotated[list[str] | None, typer.Option(metavar="FILE", help="Your own demand; repeatable.")]
-FCD = "fcd"
-"""The folder of the floating-car data beside the tables."""
+FCD, REPLAYS = "fcd", "replays"
+"""The folders of the floating-car data, and of pages to watch, beside the tables."""
 _POLICY = "A run, an expert's folder, or expert, rail, road-expert, road-rail, rule, sumo, sumo:TYPE, keep or random."
 _SEED = "Everything random follows from it."
 Seed = Annotated[int, typer.Option(min=0, help=_SEED)]
@@ -130,6 +130,9 @@ def evaluate(
     out: Annotated[Path | None, typer.Option(help="Folder for the tables, as CSV and Parquet.")] = None,
     overwrite: Overwrite = False,
     fcd: Annotated[bool, typer.Option("--fcd", help="Also SUMO's floating-car data of every episode.")] = False,
+    replays: Annotated[
+        int, typer.Option("--replay", min=0, metavar="N", help="Also the N most telling episodes, as pages to watch.")
+    ] = 0,
     reference: Annotated[
         str | None, typer.Option(metavar="POLICY", help="The policy that ratios refer to.", show_default="expert")
     ] = None,
@@ -139,22 +142,29 @@ def evaluate(
 
     The world is that of the first run directory among the policies, or the default, changed by the options.
     """
-    from rail_sumo import run
-    from rail_sumo.tables import report
+    from rail_sumo import replay, run
 
     if out:
         files.check_folder(out, overwrite=overwrite, instead=", or replace its tables with --overwrite")
-        if (out / FCD).exists() and not fcd:
-            raise InputError(
-                f"'{out / FCD}' is of other drives than these; replace it by --fcd, or choose another --out"
-            )
-    elif fcd:
-        raise InputError("--fcd writes into the folder of --out; name one")
+        for folder, option, is_asked in ((FCD, "--fcd", fcd), (REPLAYS, "--replay", replays)):
+            if (out / folder).exists() and not is_asked:
+                raise InputError(
+                    f"'{out / folder}' is of other drives than these; replace it by {option}, or choose another --out"
+                )
+    elif fcd or replays:
+        raise InputError(f"{'--fcd' if fcd else '--replay'} writes into the folder of --out; name one")
     if reference and reference not in policies:
         raise InputError(f"--reference {reference} is not among the policies: {', '.join(policies)}; name it there too")
     n_workers = _workers(workers)
     world = run.world(policies, overrides_of(network, routes, overrides))
     who = {policy: run.find_driver(policy, world, mode) for policy in policies}
+
+    def keep(tables: "Tables", whole: Path, n_replays: int) -> None:
+        tables.save(whole)
+        run.describe(whole, world, shlex.join(["rail-sumo", *sys.argv[1:]]), seed=seed)
+        if n_replays:
+            replay.write_most_telling(tables.episodes, who, world, whole / REPLAYS, seed=seed, number=n_replays)
+
     try:
         with _bars() as bars:
             drive = partial(
@@ -167,19 +177,22 @@ def evaluate(
                 observer=bars,
                 reference=reference or "expert",
             )
-            if out and fcd:
+            if out is None:
+                tables = drive()
+            elif fcd:
                 with files.whole_folder(out, overwrite=overwrite) as whole:
                     tables = drive(fcd=whole / FCD)
-                    report.save(whole, episodes=tables[0], summary=tables[1])
+                    keep(tables, whole, replays)
             else:
                 tables = drive()
-                if out:
-                    report.write(out, episodes=tables[0], summary=tables[1], overwrite=overwrite)
+                with files.whole_folder(out, overwrite=overwrite) as whole:
+                    keep(tables, whole, replays)
     except run.Interrupted as stop:
         if out:
-            report.write(out, episodes=stop.tables[0], summary=stop.tables[1], overwrite=overwrite)
+            with files.whole_folder(out, overwrite=overwrite) as whole:
+                keep(stop.tables, whole, 0)
         _show(stop.tables, out)
-        print(f"rail-sumo: interrupted after {len(stop.tables[0])} of {stop.episodes} episodes", file=sys.stderr)
+        print(f"rail-sumo: interrupted after {len(stop.tables.episodes)} of {stop.episodes} episodes", file=sys.stderr)
         raise typer.Exit(130) from None
     _show(tables, out)
 
@@ -226,6 +239,23 @@ def replay(
         who = {policy: run.find_driver(policy, world, mode) for policy in what}
         replay.write(who, world, out, seed=seed, episode=episode, overwrite=overwrite)
     print(f"replay in {out}; open it in a browser")
+
+
+@app.command()
+def report(
+    folders: Annotated[
+        list[Path], typer.Argument(metavar="FOLDER...", help="What train, eval, sweep or reproduce has written.")
+    ],
+    out: Annotated[Path, typer.Option(metavar="FILE", help="The page.")] = Path("report.html"),
+    overwrite: Overwrite = False,
+) -> None:
+    """Put all that is known of runs, evaluations, sweeps or studies on one page, with pictures; one file."""
+    from rail_sumo.pictures import report_page
+
+    if out.suffix != ".html":
+        raise InputError(f"a report is a page, FILE.html; got '{out}'")
+    report_page.write(folders, out, overwrite=overwrite)
+    print(f"report in {out}; open it in a browser")
 
 
 @app.command()
@@ -574,6 +604,6 @@ def _show(tables: "Tables", out: Path | None) -> None:
     from rail_sumo.tables import report
 
     console = Console() if sys.stdout.isatty() else Console(width=100)
-    console.print(report.table(tables[1], width=console.width))
+    console.print(report.table(tables.summary, width=console.width))
     if out:
         console.print(f"tables in {escape(str(out))}", soft_wrap=True)

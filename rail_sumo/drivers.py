@@ -1,11 +1,13 @@
 """Whatever decides for the host: fixed rules, the expert, learned policies."""
 
 import math
+from abc import ABC, abstractmethod
 from collections.abc import Sequence
 from pathlib import Path
 from typing import Protocol
 
 import numpy as np
+from numpy.typing import ArrayLike, NDArray
 from safetensors import safe_open
 
 from rail_sumo import assets
@@ -15,7 +17,7 @@ from rail_sumo.errors import InputError, ObservationError, did_you_mean
 from rail_sumo.highway import acc
 from rail_sumo.highway.acc import Leader
 from rail_sumo.highway.agent import Agent
-from rail_sumo.policy import PolicyParameters
+from rail_sumo.policy import N_ACTIONS, PolicyParameters
 from rail_sumo.records import Floats, Gaps, MetaAction
 
 
@@ -85,7 +87,59 @@ class Rule:
         return min(top_mps, acc.allowed_mps(Leader(gaps.ahead_m, gaps.ahead_speed_mps), self._adas))
 
 
-class Expert:
+class Network(ABC):
+    """A learned driver: a network that gives each meta-action an output, from the observation alone."""
+
+    senses: Senses | None
+
+    @abstractmethod
+    def outputs(self, observation: Floats, allowed: Sequence[bool]) -> Floats:
+        """Return the network's outputs, shape (5,); -inf for what is not allowed, if it heeds that."""
+
+    @abstractmethod
+    def choose(self, outputs: Floats) -> int:
+        """Return the meta-action that it takes by its outputs."""
+
+    def act(self, observation: Floats, mask: ArrayLike | None = None) -> int | NDArray[np.int64]:
+        """Return the meta-action for an observation, or for each of several.
+
+        Args:
+            observation: shape (n_features,), or (n, n_features); see `highway.observation.feature_names`.
+            mask: which meta-actions would be carried out, shape (5,) or (n, 5), as `info["action_mask"]` tells it; all
+                of them where it is None. A driver that was trained without a mask does not heed it.
+
+        Returns:
+            A `MetaAction` as an int, or their array of shape (n,).
+
+        Raises:
+            ValueError: observation or mask has another shape.
+        """
+        observations = np.asarray(observation, dtype=np.float64)
+        masks = np.ones((*observations.shape[:-1], N_ACTIONS)) if mask is None else np.asarray(mask)
+        if observations.ndim not in (1, 2) or observations.shape[-1] != self.n_features:
+            raise ValueError(
+                f"observation must have shape ({self.n_features},) or (n, {self.n_features}); got {observations.shape}"
+            )
+        if masks.shape != (*observations.shape[:-1], N_ACTIONS):
+            raise ValueError(f"mask must have shape {(*observations.shape[:-1], N_ACTIONS)}; got {masks.shape}")
+        if observations.ndim == 1:
+            return self.choose(self.outputs(observations, masks.astype(np.bool_).tolist()))
+        rows = zip(observations, masks.astype(np.bool_).tolist(), strict=True)
+        return np.array([self.choose(self.outputs(*row)) for row in rows], dtype=np.int64)
+
+    def probabilities(self, observation: Floats, allowed: Sequence[bool]) -> tuple[float, ...]:
+        """Return how probable each meta-action is, if it were sampled by its outputs."""
+        outputs = self.outputs(observation, allowed)
+        likelihoods = np.exp(outputs - outputs.max())
+        return tuple((likelihoods / likelihoods.sum()).tolist())
+
+    @property
+    @abstractmethod
+    def n_features(self) -> int:
+        """How many numbers an observation has."""
+
+
+class Expert(Network):
     """An expert: a tanh network trained by masked PPO, driven by its most probable allowed action.
 
     Args:
@@ -109,8 +163,17 @@ class Expert:
         weights, biases = self.layers[-1]
         return np.where(allowed, weights @ hidden + biases, -np.inf)
 
+    def choose(self, outputs: Floats) -> int:
+        """Return the action with the largest output."""
+        return int(outputs.argmax())
 
-class Learned:
+    @property
+    def n_features(self) -> int:
+        """How many numbers an observation has."""
+        return self.layers[0][0].shape[1]
+
+
+class Learned(Network):
     """A learned policy. It sees the observation; if it is masked, also which meta-actions would be carried out now.
 
     Args:
@@ -127,17 +190,23 @@ class Learned:
 
     def decide(self, observation: Floats, agent: Agent) -> int:
         """Return the most probable action, or a sampled one."""
-        outputs = self._policy.outputs(observation)
-        if self._rng is not None:
-            outputs = outputs + self._rng.gumbel(size=len(outputs))  # the Gumbel-max trick
-        if self._masked:
-            outputs = np.where(agent.action_masks(), outputs, -np.inf)
-        return int(outputs.argmax())
+        return self.choose(self.outputs(observation, agent.action_masks() if self._masked else ()))
 
     def outputs(self, observation: Floats, allowed: Sequence[bool]) -> Floats:
         """Return the network's outputs, shape (5,); -inf for what is not allowed, if it is masked."""
         outputs = self._policy.outputs(observation)
         return np.where(allowed, outputs, -np.inf) if self._masked else outputs
+
+    def choose(self, outputs: Floats) -> int:
+        """Return the action with the largest output, or one that is drawn by them."""
+        if self._rng is not None:
+            outputs = outputs + self._rng.gumbel(size=len(outputs))  # the Gumbel-max trick
+        return int(outputs.argmax())
+
+    @property
+    def n_features(self) -> int:
+        """How many numbers an observation has."""
+        return self._policy.shape.n_features
 
 
 class Advised:
@@ -156,18 +225,14 @@ class Advised:
 
 
 def probabilities(driver: Driver, observation: Floats, allowed: Sequence[bool]) -> tuple[float, ...]:
-    """Return how probable each meta-action is, as a learned driver would sample; of any other driver nothing.
+    """Return how probable each meta-action is to a learned driver; of any other driver nothing.
 
     Args:
         driver: who drives.
         observation: what it observes.
         allowed: which meta-actions would be carried out.
     """
-    if not isinstance(driver, Expert | Learned):
-        return ()
-    outputs = driver.outputs(observation, allowed)
-    likelihoods = np.exp(outputs - outputs.max())
-    return tuple((likelihoods / likelihoods.sum()).tolist())
+    return driver.probabilities(observation, allowed) if isinstance(driver, Network) else ()
 
 
 SHIPPED = ("rail", "road-expert", "road-rail")

@@ -58,12 +58,12 @@ def train(
     )
     about = {"driver": "expert", "seed": str(seed), "config": dumps(config)}
     with whole_folder(out) as whole:
-        report.save(whole, episodes=tables[0], summary=tables[1])
+        report.save(whole, episodes=tables.episodes, summary=tables.summary)
         features = feature_names(config.lidar, config.observation)
         save_file(_tensors(expert), whole / EXPERT_POLICY, metadata={"features": json.dumps(features)})
         (whole / EXPERT_RECIPE).write_text(dumps(config), encoding="utf-8")
         demonstrations.save(whole / EXPERT_DEMONSTRATIONS, features=features, about=about)
-        means = tables[1].set_index("metric")["mean"]
+        means = tables.summary.set_index("metric")["mean"]
         (whole / MANIFEST).write_text(run.manifest(whole, means, seed), encoding="utf-8")
     return tables
 

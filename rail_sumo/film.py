@@ -36,8 +36,13 @@ class Lane:
     is_inside: bool
     """Whether it is of a junction's inside."""
     left_line: Literal["none", "dashed", "solid"]
-    """What is painted between it and the lane of its edge to its left as one drives, "none" where there is none;
-    "solid" where nobody may change over."""
+    """What is painted between it and the next lane of its edge from the kerb on, "none" where there is none; "solid"
+    where nobody may change over."""
+
+    @property
+    def edge(self) -> str:
+        """The id of its edge."""
+        return self.id.rpartition("_")[0]
 
 
 @dataclass(frozen=True, slots=True)
@@ -64,6 +69,8 @@ class Ground:
     stop_lines: tuple[StopLine, ...]
     name: str
     """The network's."""
+    is_left_hand: bool = False
+    """Whether it is driven on the left: then the next lane from the kerb on is to the right."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -114,7 +121,7 @@ class Driven:
     range_m: float
     """The rays' range: one that reached so far hit nothing."""
     set_mps: Floats
-    """(n_frames,): the set speed."""
+    """(n_frames,): the set speed; NaN where SUMO's own driver has none."""
     limit_mps: Floats
     """(n_frames,): the speed limit where it was."""
     gap_m: Floats

@@ -95,7 +95,7 @@ class HostState(NamedTuple):
     """How far beyond the edge's end the host's lane may be left for the one to its left without a break."""
     right_goes_on_m: float = 0.0
     sumos_lane_changes: int = 0
-    """How often SUMO's own driver has changed lanes by now, where it drives the host."""
+    """How often SUMO has changed lanes by now, as the host's driver or while the host asked to be let in."""
 
     def ends_in_m(self, lane: int) -> float:
         """Return how far ahead of the host a lane stops leading on along the course."""
@@ -138,7 +138,9 @@ class Command(NamedTuple):
     """+1 to ask those in the lane to the left to let it in, as by its indicator, -1 those to the right."""
 
 
-EndReason = Literal["course", "duration", "collision", "end of road", "standstill", "not begun", "SUMO stopped"]
+EndReason = Literal[
+    "course", "duration", "collision", "end of road", "standstill", "left the road", "not begun", "SUMO stopped"
+]
 UNDRIVEN: tuple[EndReason, ...] = ("not begun", "SUMO stopped")
 """Why an episode has no figures."""
 
@@ -155,6 +157,10 @@ class Trajectory:
     """(n_decisions,): the `MetaAction` carried out; KEEP for a lane change refused or under way already."""
     allowed: NDArray[np.bool_]
     """(n_decisions, 5): which meta-actions the supervisor was told it may choose; all of them where nobody asked."""
+    decision_step: NDArray[np.int64]
+    """(n_decisions,): after how many SUMO steps each was taken."""
+    decision_place: Floats
+    """(n_decisions, 3): where the host was then: metres driven, and x and y of its centre on the network."""
     speed_mps: Floats
     """(n_steps + 1,): the host's speed at the start and after every SUMO step."""
     distance_m: float
@@ -227,6 +233,19 @@ SUMMARY_COLUMNS: dict[str, str] = {
     **COMPARISON_COLUMNS,
 }
 """Columns of the `summary` table, in order; see `report.summary`."""
+
+DECISION_COLUMNS: dict[str, str] = {
+    "policy": "string",
+    "episode": "int64",
+    "time_s": "float64",
+    "distance_m": "float64",
+    "x_m": "float64",
+    "y_m": "float64",
+    "speed_kmh": "float64",
+    "asked": "string",
+    "carried_out": "string",
+}
+"""Columns of the `decisions` table, in order, with their pandas types: a row per decision."""
 
 METRICS: tuple[str, ...] = tuple(
     name for name, kind in EPISODE_COLUMNS.items() if kind != "string" and name not in ("episode", "seed")

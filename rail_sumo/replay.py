@@ -2,9 +2,12 @@
 
 import math
 from collections.abc import Mapping, Sequence
+from itertools import chain, zip_longest
 from pathlib import Path
+from urllib.parse import quote
 
 import numpy as np
+import pandas as pd
 
 from rail_sumo import assets, drivers, rollout, training
 from rail_sumo.config import Config
@@ -103,3 +106,39 @@ def _judged(policy: str, trajectory: Trajectory) -> Sequence[float]:
         return ()
     folder = assets.driver(policy) if policy in drivers.SHIPPED else Path(policy)
     return () if assets.is_expert(folder) else training.verdicts(RunDirectory(folder), trajectory)
+
+
+def most_telling(episodes: pd.DataFrame, number: int) -> list[tuple[str, int]]:
+    """Return the episodes of an evaluation that are most worth watching, each as policy and number.
+
+    In turns: one with a contact, the one with the hardest braking, the slowest, the fastest; then the next of each.
+
+    Args:
+        episodes: the `episodes` table.
+        number: how many, at most.
+    """
+    driven = episodes[episodes["speed_kmh"].notna()].assign(contacts=episodes["collisions"] + episodes["struck"])
+    ranked = [
+        driven[driven["contacts"] > 0],
+        driven.sort_values("hardest_braking_mps2", ascending=False, kind="stable"),
+        driven.sort_values("speed_kmh", kind="stable"),
+        driven.sort_values("speed_kmh", ascending=False, kind="stable"),
+    ]
+    queues = [list(zip(table["policy"], table["episode"], strict=True)) for table in ranked]
+    in_turns = chain.from_iterable(zip_longest(*queues))
+    return list(dict.fromkeys(episode for episode in in_turns if episode))[:number]
+
+
+def write_most_telling(
+    episodes: pd.DataFrame, policies: Mapping[str, Who], world: Config, folder: Path, *, seed: int, number: int
+) -> list[Path]:
+    """Write pages that show the most telling episodes of an evaluation into a new folder; returns their files.
+
+    Arguments as in `write` and `most_telling`.
+    """
+    folder.mkdir()
+    pages = []
+    for policy, episode in most_telling(episodes, number):
+        pages.append(folder / f"{quote(policy, safe='')}-{episode}.html")
+        write({policy: policies[policy]}, world, pages[-1], seed=seed, episode=episode)
+    return pages

@@ -6,7 +6,7 @@ import math
 from collections.abc import Iterable, Mapping
 from importlib.metadata import version
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 from urllib.parse import quote
 
 import pandas as pd
@@ -17,7 +17,7 @@ from rail_sumo import assets, config_file, drivers, training
 from rail_sumo.config import Config
 from rail_sumo.config_file import dumps
 from rail_sumo.errors import InputError, did_you_mean
-from rail_sumo.files import check_file, check_folder, whole_file
+from rail_sumo.files import check_file, check_folder, whole_file, whole_folder
 from rail_sumo.highway import metrics, varied
 from rail_sumo.highway.env import HighwayEnv
 from rail_sumo.highway.network import demand
@@ -35,6 +35,7 @@ from rail_sumo.rollout import (
     Who,
     WorkerCount,
     attempt_all,
+    driver_of,
     practise_all,
     traffic_seed,
 )
@@ -44,8 +45,30 @@ from rail_sumo.tables import report
 PART = "part.parquet"
 """The file of one episode's floating-car data, in a folder of its own."""
 
-Tables = tuple[pd.DataFrame, pd.DataFrame]
-"""The `episodes` table and its `summary`."""
+DECISIONS = "decisions.parquet"
+"""The file of the `decisions` table, which is long and kept as Parquet alone."""
+
+
+WORLD = "world.toml"
+"""The configuration that an evaluation's folder was made with."""
+
+
+class Tables(NamedTuple):
+    """What an evaluation has measured."""
+
+    episodes: pd.DataFrame
+    summary: pd.DataFrame
+    decisions: pd.DataFrame
+
+    def write(self, folder: Path, *, overwrite: bool = False) -> None:
+        """Write them into a folder, which is there whole or not at all; see `report.write`."""
+        with whole_folder(folder, overwrite=overwrite) as whole:
+            self.save(whole)
+
+    def save(self, folder: Path) -> None:
+        """Write them into a folder that is not whole yet."""
+        report.save(folder, episodes=self.episodes, summary=self.summary)
+        self.decisions.to_parquet(folder / DECISIONS, index=False)
 
 
 class Interrupted(KeyboardInterrupt):
@@ -98,6 +121,28 @@ def find_driver(policy: str, world: Config, mode: str = "default") -> Who:
     return learned if mode == "default" else learned.acting(mode)
 
 
+def load_driver(policy: str, *, mode: str = "default", seed: int = 0) -> drivers.Network:
+    """Return a learned driver, to drive wherever observations come from.
+
+    `driver.act(observation, mask)` returns a meta-action, of several observations one each; `driver.senses` tells how
+    it must sense.
+
+    Args:
+        policy: a run directory, an expert's folder, or expert, rail, road-expert or road-rail.
+        mode: "argmax" or "sampled"; by default as it was trained.
+        seed: of what it draws, if it samples.
+
+    Raises:
+        InputError: no such driver, or one that decides by more than an observation, such as `rule`.
+    """
+    who = find_driver(policy, Config(), mode)
+    driver = driver_of(who, Config(), seed)
+    if not isinstance(driver, drivers.Network):
+        learned = ("expert", *drivers.SHIPPED)
+        raise InputError(f"'{policy}' decides by more than an observation; take {', '.join(learned)}, or a folder")
+    return driver
+
+
 def evaluate(
     policies: Mapping[str, Who],
     world: Config,
@@ -147,6 +192,7 @@ def evaluate(
         for name, episode in labels
     ]
     rows: list[dict[str, Any]] = []
+    decided: list[tuple[str, int, dict[str, Any]]] = []
     undriven: list[tuple[str, int, str]] = []
     try:
         for (name, episode), driven in zip(labels, attempt_all("eval", tasks, workers, observer), strict=True):
@@ -155,10 +201,12 @@ def evaluate(
                 told: dict[str, Any] = {"seed": driven.seed, "network": network, "end_reason": driven.end_reason}
             else:
                 told = metrics.row(driven, world.adas)
+                if not drivers.hands_off(policies[name]):
+                    decided.append((name, episode, metrics.decisions(driven)))
             rows.append({"policy": name, "episode": episode, **told})
     except KeyboardInterrupt:
         if len(rows) > len(undriven):
-            raise Interrupted(_tables(rows, reference), len(labels)) from None
+            raise Interrupted(_tables(rows, decided, reference), len(labels)) from None
         raise
     if len(undriven) == len(labels):
         raise InputError(undriven[0][-1])
@@ -166,12 +214,12 @@ def evaluate(
         observer.note(f"{name} did not drive episode {episode}: {why}")
     if fcd:
         _require_whole(fcd)
-    return _tables(rows, reference)
+    return _tables(rows, decided, reference)
 
 
-def _tables(rows: list[dict[str, Any]], reference: str) -> Tables:
+def _tables(rows: list[dict[str, Any]], decided: list[tuple[str, int, dict[str, Any]]], reference: str) -> Tables:
     table = report.episodes(rows)
-    return table, report.summary(table, reference)
+    return Tables(table, report.summary(table, reference), report.decisions(decided))
 
 
 def record(
@@ -246,8 +294,8 @@ def train(
     policies[report.EXPERT] = expert
     episodes = config.train.evaluation_episodes
     tables = evaluate(policies, config, episodes=episodes, seed=seed, workers=workers, observer=observer)
-    report.write(out, episodes=tables[0], summary=tables[1], overwrite=True)
-    own = tables[1][tables[1]["policy"] == config.train.learner]
+    tables.write(out, overwrite=True)
+    own = tables.summary[tables.summary["policy"] == config.train.learner]
     with whole_file(out / assets.MANIFEST) as partial:
         partial.write_text(manifest(out, own.set_index("metric")["mean"], seed), encoding="utf-8")
     return tables
@@ -296,6 +344,24 @@ def _require_folder(policy: Path) -> None:
         RunDirectory(policy)
 
 
+def describe(folder: Path, world: Config, command: str, *, seed: int) -> None:
+    """Write beside an evaluation's tables what made them: the command, the world, the seed and the versions.
+
+    Args:
+        folder: of the tables.
+        world: where was driven.
+        command: what was typed.
+        seed: of the traffic.
+    """
+    (folder / WORLD).write_text(dumps(world), encoding="utf-8")
+    about = {"command": command, "seed": seed, **_versions()}
+    (folder / assets.MANIFEST).write_text(json.dumps(about, indent=2) + "\n", encoding="utf-8")
+
+
+def _versions() -> dict[str, str]:
+    return {"libsumo": version("libsumo"), "rail-sumo": assets.own_version()}
+
+
 def manifest(folder: Path, means: Mapping[str, float], seed: int) -> str:
     """Return what tells how a driver's folder was made, as JSON.
 
@@ -307,8 +373,7 @@ def manifest(folder: Path, means: Mapping[str, float], seed: int) -> str:
     written = {
         "files": {path.name: assets.sha256(path) for path in sorted(folder.iterdir()) if path.name != assets.MANIFEST},
         "seed": seed,
-        "libsumo": version("libsumo"),
-        "rail-sumo": assets.own_version(),
+        **_versions(),
         "evaluation": {metric: round(mean, 3) for metric, mean in means.items() if math.isfinite(mean)},
     }
     return json.dumps(written, indent=2) + "\n"

@@ -1,6 +1,7 @@
 import itertools
 import random
 import re
+import sys
 import xml.etree.ElementTree as ElementTree
 from itertools import product
 
@@ -10,7 +11,7 @@ import torch
 from driving import MERGE, Watched, world
 from hypothesis import settings
 
-from rail_sumo import assets
+from rail_sumo import assets, cli
 from rail_sumo.highway import env as env_module
 from rail_sumo.highway.env import HighwayEnv
 
@@ -165,3 +166,17 @@ def soon_narrow(tmp_path):
     path = tmp_path / "soon.net.xml"
     path.write_text(re.sub(r'(<lane id="wide.*?)length="996.00"', r'\1length="300.00"', MERGE))
     return {"file": str(path)}
+
+
+@pytest.fixture
+def rail_sumo(monkeypatch, capsys, tmp_path):
+    """Run the command line in an empty folder; return its exit code, stdout and stderr."""
+    monkeypatch.chdir(tmp_path)
+
+    def call(*arguments):
+        monkeypatch.setattr(sys, "argv", ["rail-sumo", *arguments])
+        with pytest.raises(SystemExit) as end:
+            cli.main()
+        return end.value.code, *capsys.readouterr()
+
+    return call

@@ -790,3 +790,15 @@ def test_the_end_of_a_lane_is_braked_for_comfortably_to_a_stop_2_5_m_before_it(r
         speed = command.speed_mps
         ahead_m -= speed * 0.1
     assert ahead_m == pytest.approx(2.5, abs=0.3)
+
+
+def test_where_sumo_takes_the_gap_that_the_host_asks_for_the_change_is_counted_and_over(road):
+    road.adas.decide(LEFT, road.host, free)
+    road.adas.command(road.host, free, steps=1)
+    assert road.adas.changing_lane
+    moved = at(lane=3, sumos_lane_changes=1)
+    command = road.adas.command(moved, free, steps=5)
+    assert (road.adas.lane_changes, road.adas.changing_lane) == (1, False)
+    assert (command.lateral_m, command.cross) == (0.0, 0)
+    road.adas.command(moved, free, steps=5)
+    assert road.adas.lane_changes == 1

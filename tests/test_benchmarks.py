@@ -1,5 +1,6 @@
 """What the benchmarks make of what they measured; measuring takes them hours."""
 
+import io
 import itertools
 import math
 
@@ -15,8 +16,10 @@ import pytest
 import safety
 import sensing
 import throughput
+from rich.console import Console
 
 from rail_sumo import config_file
+from rail_sumo.highway.parallel_env import HighwayParallelEnv
 
 
 @pytest.mark.parametrize(
@@ -140,3 +143,28 @@ def test_a_variant_is_set_beside_the_first_one_seed_by_seed():
     assert found["speed_kmh"].to_dict() == pytest.approx({("blind", 0): -0.1, ("blind", 1): -0.1})
     assert sensing.with_interval(ratios.xs("blind", level="variant")["speed_kmh"]) == "0.900 +- 1.271"  # 12.7 x 0.1
     assert sensing.with_interval(found["speed_kmh"]) == "-0.100 +- 0.000"
+
+
+def test_the_table_of_agents_tells_medians_spreads_and_how_many_times_highway_env():
+    ours = throughput.Row("ours", lambda: 0.0, [900.0, 1200.0, 1000.0])
+    other = throughput.Row("other", lambda: 0.0, [20.0, 16.0, 24.0])
+    console = Console(width=120, record=True, file=io.StringIO())
+    console.print(throughput.table_of_agents([ours, other], 96))
+    lines = [line.split("│")[1:-1] for line in console.export_text().splitlines() if line.startswith("│")]
+    assert [[cell.strip() for cell in line] for line in lines] == [
+        ["ours", "1,000", "900 .. 1,200", "50.0"],
+        ["other", "20", "16 .. 24", "1.0"],
+    ]
+
+
+def test_the_agents_of_the_benchmark_all_decide_at_every_step(monkeypatch):
+    clock, asked = iter([10.0, 12.0]), []
+    step = HighwayParallelEnv.step
+    monkeypatch.setattr(throughput.time, "process_time", lambda: next(clock))
+    monkeypatch.setattr(
+        HighwayParallelEnv,
+        "step",
+        lambda env, actions: asked.append(len(actions)) or step(env, actions),
+    )
+    assert throughput.agents_of_ours(5) == 8 * 5 / 2.0
+    assert asked[-5:] == [8] * 5

@@ -77,6 +77,10 @@ def test_what_is_filmed_is_driven_as_without_a_camera_and_the_film_is_of_it(netw
         return
     assert [one.asked for one in driven.decisions] == trajectory.decisions.tolist()
     assert [one.carried_out for one in driven.decisions] == trajectory.carried_out.tolist()
+    frames = [one.frame for one in driven.decisions]
+    assert frames == trajectory.decision_step.tolist()
+    places = np.column_stack((film.x_m[hosts], film.y_m[hosts]))[frames]
+    assert np.array_equal(places, trajectory.decision_place[:, 1:])
     n_rays = config.lidar.n_rays
     for one, seen in zip(driven.decisions, trajectory.observations, strict=True):
         assert np.array_equal(driven.ray_m[one.frame], seen[:n_rays])

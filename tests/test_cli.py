@@ -12,21 +12,6 @@ from rail_sumo.highway.observation import feature_names
 from rail_sumo.policy import PolicyParameters, Shape, Whitening
 from rail_sumo.run_directory import PROGRESS_COLUMNS, Checkpoint, RunDirectory
 
-
-@pytest.fixture
-def rail_sumo(monkeypatch, capsys, tmp_path):
-    """Run the command line in an empty folder; return its exit code, stdout and stderr."""
-    monkeypatch.chdir(tmp_path)
-
-    def call(*arguments):
-        monkeypatch.setattr(sys, "argv", ["rail-sumo", *arguments])
-        with pytest.raises(SystemExit) as end:
-            cli.main()
-        return end.value.code, *capsys.readouterr()
-
-    return call
-
-
 SHORT = ("--set", "episode.duration_s=5.0", "--workers", "1")
 
 CLOSED = """<net version="1.20">
@@ -133,7 +118,7 @@ def test_our_own_mistakes_keep_their_traceback(rail_sumo, monkeypatch):
         rail_sumo("eval", "keep", *SHORT)
 
 
-def test_eval_prints_a_row_per_policy_and_writes_four_tables(rail_sumo, tmp_path):
+def test_eval_prints_a_row_per_policy_and_writes_the_tables(rail_sumo, tmp_path):
     code, out, err = rail_sumo("eval", "keep", "rule", "--episodes", "2", "--out", "out", *SHORT)
     assert code == 0, err
     assert [line.split()[0] for line in out.splitlines() if line.strip().startswith(("keep", "rule"))] == [
@@ -142,6 +127,7 @@ def test_eval_prints_a_row_per_policy_and_writes_four_tables(rail_sumo, tmp_path
     ]
     assert max(map(len, out.splitlines())) <= 100
     written = {"episodes.csv", "episodes.parquet", "summary.csv", "summary.parquet"}
+    written |= {"decisions.parquet", "world.toml", "manifest.json"}
     assert {path.name for path in (tmp_path / "out").iterdir()} == written
     episodes = pd.read_csv(tmp_path / "out" / "episodes.csv")
     assert list(episodes["policy"]) == ["keep", "keep", "rule", "rule"]

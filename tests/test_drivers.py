@@ -5,9 +5,11 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
+import rail_sumo
 from rail_sumo import config, config_file, drivers
 from rail_sumo.config import Config
 from rail_sumo.errors import InputError, ObservationError
+from rail_sumo.highway.env import HighwayEnv
 from rail_sumo.policy import PolicyParameters, Shape, Whitening
 from rail_sumo.records import KMH, Gaps, HostState, MetaAction
 from rail_sumo.rollout import Task, drive
@@ -226,3 +228,42 @@ def test_advice_is_noted_for_each_observation_as_it_comes_and_not_taken():
     driver = drivers.Advised(decides, advises)
     assert [driver.decide(observation, 10) for observation in (1, 2, 3)] == [MetaAction.KEEP] * 3
     assert driver.advice == [11, 12, 13]
+
+
+@pytest.mark.parametrize("name", ["rail", "expert", "road-rail", "road-expert"])
+def test_a_loaded_driver_acts_as_it_drives_one_observation_or_many(name):
+    driver = rail_sumo.load_driver(name)
+    config = Config().seen_with(driver.senses)
+    road = HighwayEnv(config)
+    observation, info = road.reset(seed=5)
+    seen, masks, taken = [], [], []
+    for _ in range(40):
+        seen.append(observation)
+        masks.append(info["action_mask"])
+        taken.append(driver.decide(observation, road.agent))
+        observation, _, _, _, info = road.step(taken[-1])
+    road.close()
+    assert len(set(taken)) > 1
+    assert [driver.act(one, mask) for one, mask in zip(seen, masks, strict=True)] == taken
+    many = driver.act(np.array(seen), np.array(masks))
+    assert many.tolist() == taken
+    assert many.dtype == np.int64
+    n = driver.n_features
+    with pytest.raises(ValueError, match=re.escape(f"must have shape ({n},) or (n, {n}); got ({n - 1},)")):
+        driver.act(observation[:-1])
+    with pytest.raises(ValueError, match=re.escape("mask must have shape (40, 5); got (5,)")):
+        driver.act(np.array(seen), masks[0])
+
+
+def test_a_driver_that_samples_draws_by_its_seed():
+    observations = np.random.default_rng(1).normal(10.0, 30.0, (200, 48))
+    one, same, other = (rail_sumo.load_driver("rail", mode="sampled", seed=seed) for seed in (1, 1, 2))
+    drawn = one.act(observations)
+    assert drawn.tolist() == same.act(observations).tolist()
+    assert drawn.tolist() != other.act(observations).tolist()
+
+
+def test_who_decides_by_more_than_an_observation_is_not_loaded():
+    for name in ("rule", "sumo", "keep", "random"):
+        with pytest.raises(InputError, match=f"'{name}' decides by more than an observation; take expert, rail"):
+            rail_sumo.load_driver(name)

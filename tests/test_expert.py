@@ -82,7 +82,7 @@ def test_its_folder_drives_under_its_path_and_differs_from_the_shipped_expert(tr
     world = run.world([str(trained)])
     assert world == SHORT
     mine = run.find_driver(str(trained), world)
-    episodes, _ = run.evaluate({"mine": mine, "keep": "keep"}, world, episodes=1, seed=1)
+    episodes, *_ = run.evaluate({"mine": mine, "keep": "keep"}, world, episodes=1, seed=1)
     speeds = episodes.set_index("policy")["speed_kmh"]
     assert speeds["mine"] > speeds["keep"]
 
@@ -102,13 +102,13 @@ def test_the_expert_that_is_named_is_imitated_asked_and_compared_with(tmp_path, 
         "dagger.rollouts=1",
     ]
     world = config_file.load(None, [*brief, *asked, f"train.expert={tmp_path / 'mine'}"])
-    episodes, _ = run.train(world, tmp_path / "run", seed=1)
+    episodes, *_ = run.train(world, tmp_path / "run", seed=1)
     speeds = episodes.pivot(index="episode", columns="policy", values="speed_kmh")
     assert set(speeds) == {"dagger", "clone, argmax", "clone, sampled", "expert"}
     # All of them accelerate from 60 km/h, and are held up by the same traffic; keeping is slower.
     assert (speeds["dagger"] == speeds["expert"]).all()
     assert (speeds["clone, argmax"] == speeds["expert"]).all()
-    kept, _ = run.evaluate({"keep": "keep"}, world, episodes=2, seed=1)
+    kept, *_ = run.evaluate({"keep": "keep"}, world, episodes=2, seed=1)
     assert (speeds["expert"].to_numpy() > kept["speed_kmh"].to_numpy()).all()
     with pytest.raises(InputError, match="no expert here"):
         run.train(config_file.load(None, [*brief, f"train.expert={tmp_path}"]), tmp_path / "other", seed=1)

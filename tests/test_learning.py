@@ -22,7 +22,7 @@ SHORT = (
 
 def gains_kmh(folder):
     """Train, and return the gain in speed on the clone in every held-out episode."""
-    episodes, _ = run.train(config_file.load(None, SHORT), folder, seed=0, workers=2)
+    episodes, *_ = run.train(config_file.load(None, SHORT), folder, seed=0, workers=2)
     speeds = episodes.pivot(index="seed", columns="policy", values="speed_kmh")
     return (speeds["rail"] - speeds["clone, argmax"]).to_numpy()
 

@@ -71,7 +71,7 @@ def test_two_children_drive_at_once_and_end_with_their_environments(make):
     first, _ = one.reset(seed=1)
     again, _ = other.reset(seed=1)
     np.testing.assert_array_equal(first, again)
-    child = one._child
+    child = one._child.process
     one.close()
     assert child.poll() == 0
     with pytest.raises(RuntimeError, match="the environment is closed"):
@@ -82,7 +82,7 @@ def test_two_children_drive_at_once_and_end_with_their_environments(make):
 def test_a_child_that_dies_is_told(make):
     env = make(isolated=True).unwrapped
     env.reset(seed=1)
-    env._child.kill()
+    env._child.process.kill()
     with pytest.raises(RuntimeError, match="the environment's process has died"):
         env.step(0)
 

@@ -31,6 +31,8 @@ def trajectory(speed_mps, **changes):
         decisions=np.empty(0, dtype=np.int64),
         carried_out=np.empty(0, dtype=np.int64),
         allowed=np.empty((0, 5), dtype=np.bool_),
+        decision_step=np.empty(0, dtype=np.int64),
+        decision_place=np.empty((0, 3)),
         speed_mps=speed_mps,
         distance_m=float(speed_mps[1:].sum()) / 10,
         limit_mps=np.full(len(speed_mps) - 1, 80 / 3.6),

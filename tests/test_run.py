@@ -21,7 +21,7 @@ from rail_sumo.highway.simulation import HOST
 from rail_sumo.imitation import gail
 from rail_sumo.imitation.demonstrations import Demonstrations
 from rail_sumo.policy import PolicyParameters
-from rail_sumo.records import METRICS, Trajectory
+from rail_sumo.records import DECISION_COLUMNS, METRICS, MetaAction, Trajectory
 from rail_sumo.run_directory import CHECKPOINT, CLONE, JUDGE, POLICY, PROGRESS, PROGRESS_COLUMNS, RunDirectory
 from rail_sumo.tables import report
 
@@ -40,6 +40,8 @@ def drive(task):
         decisions=actions,
         carried_out=actions,
         allowed=np.ones((len(actions), 5), dtype=np.bool_),
+        decision_step=np.arange(len(actions)),
+        decision_place=np.zeros((len(actions), 3)),
         speed_mps=np.full(201, 15.0 + (actions == 1).sum()),
         distance_m=20.0 * (15.0 + (actions == 1).sum()),
         limit_mps=np.full(200, 80.0 / 3.6),
@@ -177,7 +179,7 @@ def test_a_policy_of_no_iterations_is_the_clone(small, driven, tmp_path):
 
 
 def test_training_moves_the_policy_and_tells_of_every_iteration(small, driven, tmp_path):
-    episodes, summary = run.train(small, tmp_path / "run", seed=1)
+    episodes, summary, _ = run.train(small, tmp_path / "run", seed=1)
     policy, clone = (load_file(tmp_path / "run" / file)["theta"] for file in (POLICY, CLONE))
     assert not np.array_equal(policy, clone)
     progress = pd.read_csv(tmp_path / "run" / PROGRESS)
@@ -190,7 +192,7 @@ def test_training_moves_the_policy_and_tells_of_every_iteration(small, driven, t
 
 
 def test_both_signs_meet_the_same_traffic_which_is_new_each_iteration_and_never_evaluated_on(small, driven, tmp_path):
-    episodes, _ = run.train(small, tmp_path / "run", seed=1)
+    episodes, *_ = run.train(small, tmp_path / "run", seed=1)
     training = np.array([task.seed for task in driven[:12]]).reshape(3, 2, 2)  # iteration, sign, direction
     np.testing.assert_array_equal(training[:, 0], training[:, 1])
     assert len(np.unique(training)) == 6
@@ -199,11 +201,11 @@ def test_both_signs_meet_the_same_traffic_which_is_new_each_iteration_and_never_
 
 
 def test_every_policy_is_evaluated_on_the_same_traffic(driven):
-    episodes, _ = run.evaluate({"keep": "keep", "rule": "rule"}, config.Config(), episodes=3, seed=5)
+    episodes, *_ = run.evaluate({"keep": "keep", "rule": "rule"}, config.Config(), episodes=3, seed=5)
     keep, rule = (episodes[episodes["policy"] == name] for name in ("keep", "rule"))
     assert list(keep["seed"]) == list(rule["seed"])
     assert keep["seed"].nunique() == 3
-    more, _ = run.evaluate({"keep": "keep"}, config.Config(), episodes=4, seed=5)
+    more, *_ = run.evaluate({"keep": "keep"}, config.Config(), episodes=4, seed=5)
     assert list(more["seed"][:3]) == list(keep["seed"])
 
 
@@ -263,7 +265,7 @@ def test_a_learner_is_set_beside_its_clone_if_it_has_one(small, driven, tmp_path
     clones = ["clone, argmax", "clone, sampled"]
     for learner, beside in {"rail": clones, "gail": clones, "dagger": clones, "ars": []}.items():
         world = small.model_copy(update={"train": small.train.model_copy(update={"learner": learner})})
-        episodes, _ = run.train(world, tmp_path / learner, seed=1)
+        episodes, *_ = run.train(world, tmp_path / learner, seed=1)
         assert list(episodes["policy"].unique()) == [learner, *beside, "expert"]
 
 
@@ -378,8 +380,29 @@ def test_one_worker_and_two_give_the_same_tables_byte_for_byte(tmp_path):
     world = config_file.load(None, ["episode.duration_s=20.0"])
     for workers in (1, 2):
         tables = run.evaluate({"rule": "rule", "random": "random"}, world, episodes=2, seed=0, workers=workers)
-        run.report.write(tmp_path / str(workers), episodes=tables[0], summary=tables[1])
+        tables.write(tmp_path / str(workers))
     assert contents(tmp_path / "1") == contents(tmp_path / "2")
+
+
+def test_every_decision_has_its_row_in_order_and_where_it_was_taken():
+    world = config_file.load(None, ["episode.duration_s=20.0"])
+    tables = run.evaluate({"random": "random", "sumo": "sumo", "rule": "rule"}, world, episodes=2, seed=0)
+    decisions, figures = tables.decisions, tables.episodes.set_index(["policy", "episode"])
+    assert list(decisions.columns) == list(DECISION_COLUMNS)
+    assert set(decisions["policy"]) == {"random", "rule"}  # SUMO's own driver takes none
+    for key, taken in decisions.groupby(["policy", "episode"]):
+        driven = figures.loc[key]
+        assert taken["time_s"].iloc[0] == 0.0
+        assert taken["time_s"].is_monotonic_increasing
+        assert taken["time_s"].iloc[-1] < driven["duration_s"]
+        assert taken["distance_m"].diff().dropna().between(0.0, 25.0).all()
+        assert taken["distance_m"].iloc[-1] < driven["distance_m"]
+        moved_m = taken["x_m"].diff().sum()  # the shipped highway runs east
+        assert moved_m == pytest.approx(taken["distance_m"].iloc[-1] - taken["distance_m"].iloc[0], abs=0.5)
+        is_refused = (taken["asked"] != taken["carried_out"]) & taken["asked"].isin(["left", "right"])
+        assert (taken["carried_out"][is_refused] == "keep").all()
+        assert is_refused.sum() >= driven["refused_decisions"]
+    assert decisions["asked"].isin([action.name.lower() for action in MetaAction]).all()
 
 
 def test_floating_car_data_tell_of_the_very_drives_that_the_tables_tell_of(tmp_path):
@@ -390,7 +413,7 @@ def test_floating_car_data_tell_of_the_very_drives_that_the_tables_tell_of(tmp_p
         pd.testing.assert_frame_equal(table, without)
     fcd = pd.read_parquet(tmp_path / "fcd")
     by_episode = fcd[fcd["vehicle_id"] == HOST].groupby(["policy", "episode"], observed=True)
-    for _, row in tables[0].iterrows():
+    for _, row in tables.episodes.iterrows():
         host = by_episode.get_group((row["policy"], row["episode"]))
         assert len(host) == 1 + 200  # at the start, and after every step
         # Moved by the mean of the speeds before and after each step (ballistic).
@@ -430,7 +453,7 @@ def test_an_episode_that_cannot_be_driven_keeps_its_row_and_does_not_take_the_ot
     monkeypatch.setattr(rollout, "drive", fails_at_times)
     notes = Notes()
     who = {"rule": "rule", "keep": "keep"}
-    episodes, summary = run.evaluate(who, small, episodes=4, seed=0, observer=notes, reference="keep")
+    episodes, summary, _ = run.evaluate(who, small, episodes=4, seed=0, observer=notes, reference="keep")
     assert episodes["end_reason"].tolist() == [
         *("duration", "not begun", "SUMO stopped", "duration"),
         *("duration", "not begun", "duration", "duration"),

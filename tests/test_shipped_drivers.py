@@ -23,7 +23,7 @@ def test_it_drives_by_name_with_the_senses_of_its_recipe_and_without_contact(nam
     )
     driver = run.find_driver(name, world)
     assert driver.senses == config_file.load(assets.driver(name) / RECIPE).senses
-    episodes, _ = run.evaluate({name: driver, "keep": "keep"}, world, episodes=3, seed=7)
+    episodes, *_ = run.evaluate({name: driver, "keep": "keep"}, world, episodes=3, seed=7)
     assert (episodes["collisions"] + episodes["struck"] == 0).all()
     speed = episodes.groupby("policy")["speed_kmh"].mean()
     assert speed[name] > speed["keep"]
@@ -33,7 +33,7 @@ def test_drivers_of_different_senses_are_compared_on_the_same_traffic():
     world = run.world(["rail", "road-rail"], ["episode.duration_s=20"])
     found = {name: run.find_driver(name, world) for name in ("rail", "road-rail")}
     assert found["rail"].senses != found["road-rail"].senses
-    episodes, _ = run.evaluate(found, world, episodes=2, seed=7)
+    episodes, *_ = run.evaluate(found, world, episodes=2, seed=7)
     first, second = (episodes[episodes["policy"] == name]["seed"].tolist() for name in found)
     assert first == second
 

@@ -50,6 +50,8 @@ def episode(observations, actions, end_reason="duration", seed=0, carried_out=No
         decisions=np.asarray(actions, dtype=np.int64),
         carried_out=np.asarray(actions if carried_out is None else carried_out, dtype=np.int64),
         allowed=np.ones((len(actions), 5), dtype=np.bool_),
+        decision_step=np.arange(len(actions)),
+        decision_place=np.zeros((len(actions), 3)),
         speed_mps=np.full(len(actions) + 1, 20.0),
         distance_m=2.0 * len(actions),
         limit_mps=np.full(len(actions), 80.0 / 3.6),

@@ -12,7 +12,7 @@ from typer.models import ArgumentInfo, OptionInfo
 
 from rail_sumo import cli
 from rail_sumo.config import Config
-from rail_sumo.records import EPISODE_COLUMNS, SUMMARY_COLUMNS
+from rail_sumo.records import DECISION_COLUMNS, EPISODE_COLUMNS, SUMMARY_COLUMNS
 from rail_sumo.run_directory import PROGRESS_COLUMNS
 from rail_sumo.studies.experiment import CELL_COLUMNS
 from rail_sumo.studies.reproduce import TABLE_COLUMNS
@@ -23,6 +23,7 @@ Columns = Mapping[str, str]
 TABLES: dict[str, tuple[str, Columns]] = {
     "episodes": ("`rail-sumo eval`, `train`: a row per policy and episode", EPISODE_COLUMNS),
     "summary": ("`rail-sumo eval`, `train`: a row per policy and metric", SUMMARY_COLUMNS),
+    "decisions": ("`rail-sumo eval`, `train`: a row per decision, as Parquet alone", DECISION_COLUMNS),
     "progress.csv": ("`rail-sumo train`: a row per iteration", dict.fromkeys(PROGRESS_COLUMNS, "float64")),
     "traffic": (
         "`rail-sumo sweep`: a row per driver, setting, share, seed and kind of vehicles",
@@ -44,6 +45,7 @@ TABLES: dict[str, tuple[str, Columns]] = {
 DEFINED_IN = {
     "episodes": "../measures.md#one-vehicle-the-episodes-table",
     "summary": "../measures.md#means-and-intervals-the-summary-table",
+    "decisions": "../measures.md#decision-by-decision-the-decisions-table",
     "progress.csv": "../start.md#progresscsv",
     "traffic": "../measures.md#the-whole-road-the-traffic-table",
     "summary of a sweep": "../measures.md#means-and-differences-of-a-sweep",

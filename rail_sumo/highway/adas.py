@@ -54,6 +54,7 @@ class Adas:
         self._moved = 0.0  # how much of it lies behind the host
         self._crossed = False
         self._reversing = False
+        self._sumos_lane_changes = 0
         self.lane_changes = 0
         self.aborted_lane_changes = 0
         self.refused_decisions = 0
@@ -128,6 +129,8 @@ class Adas:
         Near the end of a lane that does not lead on, the layer leaves it of its own accord as soon as it can, and until
         it has crossed over asks to be let in.
         """
+        if host.sumos_lane_changes > self._sumos_lane_changes:
+            self._note_sumos_lane_changes(host.sumos_lane_changes)
         way_on = _way_on(host)
         if way_on is not None and self._side is None and self._open(way_on, host, gaps):
             self._begin(way_on, host)
@@ -139,6 +142,12 @@ class Adas:
         limited = _within_limits(speed, host, self._config, steps=1)
         command = Command(limited) if self._side is None else self._sideways(self._side, limited, host, gaps)
         return command if way_on is None or command.cross else command._replace(asks=way_on)
+
+    def _note_sumos_lane_changes(self, number: int) -> None:
+        """Count what SUMO has changed while the host asked to be let in; a change under way is over then."""
+        self.lane_changes += number - self._sumos_lane_changes
+        self._sumos_lane_changes = number
+        self._side = None
 
     def _steer(self, side: Side, host: HostState, gaps: Callable[[int], Gaps]) -> bool:
         """Begin a lane change or turn the one under way round, and return whether this was done."""

@@ -9,12 +9,14 @@ import numpy as np
 
 from rail_sumo.config import Config
 from rail_sumo.config import Lidar as LidarConfig
+from rail_sumo.highway import metrics
 from rail_sumo.highway.adas import Adas, HandsOff
 from rail_sumo.highway.host import Host
 from rail_sumo.highway.lidar import Lidar
 from rail_sumo.highway.network.road import Road
 from rail_sumo.highway.observation import Layout
 from rail_sumo.highway.passing import PassCounter
+from rail_sumo.highway.reward import reward
 from rail_sumo.highway.stretch import Stretch
 from rail_sumo.records import (
     SECONDS_PER_STEP,
@@ -32,6 +34,8 @@ CRAWL_MPS = 0.1
 STANDSTILL_STEPS = 3000
 """A host that has not moved for this many steps (five minutes) will not: the episode ends."""
 ALL_ALLOWED = [True] * len(MetaAction)
+KEEP_ALONE = [action is MetaAction.KEEP for action in MetaAction]
+"""What is allowed to a vehicle that is not on the road."""
 
 
 class Agent:
@@ -45,7 +49,7 @@ class Agent:
         world: how it senses, how it drives, when its episode ends.
         hands_off: leave it to SUMO's own driver; see `HighwayEnv`.
         enters_as_traffic: whether its first set speed is no lower than the speed that it has entered with.
-        keeps_trajectory: whether its observations, decisions and steps are kept for `last` and `trajectory`.
+        keeps_trajectory: whether its observations, decisions and steps are kept for `earned` and `trajectory`.
     """
 
     def __init__(
@@ -89,11 +93,18 @@ class Agent:
         """What it saw at the last look."""
         self.scene: Scene
         """Itself and the vehicles around it at the last look."""
+        self.decided: tuple[MetaAction, MetaAction] | None = None
+        """Its last decision, and what of it was carried out; None before the first."""
         self.overtakes = self.overtaken = 0
+        self._travelled_m = 0.0  # at the last look, ...
+        self._n_looked_back = 1  # ... when the host had noted so many speeds
+        self._at_decision = (0, 0, 0, 0)  # steps, overtakes, overtaken and refused decisions when it last decided
         self._observations: list[Floats] = []
         self._decisions: list[int] = []
         self._carried_out: list[int] = []
         self._allowed: list[list[bool]] = []
+        self._decision_step: list[int] = []
+        self._decision_place: list[tuple[float, float, float]] = []
         self._lane_changing: list[bool] = []
         self._limits_mps: list[float] = []
 
@@ -112,6 +123,8 @@ class Agent:
         self.overtakes += overtakes
         self.overtaken += overtaken
         self.scene = scene
+        self._travelled_m = self.host.travelled_m
+        self._n_looked_back = len(self.host.speeds_mps)
         self.end = self._why_over()
         self.observation = self._layout.observe(
             self.lidar.scan(scene),
@@ -124,7 +137,7 @@ class Agent:
     def _why_over(self) -> EndReason | None:
         if self.host.contact:
             return "collision"
-        travelled_m = self.host.travelled_m
+        travelled_m = self._travelled_m
         if travelled_m >= self._world.episode.course_m:
             return "course"
         if self.n_steps >= self._duration_steps:
@@ -166,14 +179,33 @@ class Agent:
 
     def decide(self, action: MetaAction) -> None:
         """Take a decision for the steps until the next falls due."""
+        self._at_decision = (self.n_steps, self.overtakes, self.overtaken, self.refused_decisions)
         carried_out = self.adas.decide(action, self.state, self.gaps)
+        self.decided = action, carried_out
         if self._keeps_trajectory:
             self._observations.append(self.observation)
             self._decisions.append(action)
             self._carried_out.append(carried_out)
             self._allowed.append(self.mask if self._is_told else ALL_ALLOWED)
+            self._decision_step.append(self.n_steps)
+            x_m, y_m = self.scene.boxes[:2, 0].tolist()
+            self._decision_place.append((self.host.travelled_m, x_m, -y_m if self.stretch.road.is_left_hand else y_m))
         self._mask, self._is_told = None, False
-        self._left = min(self._period_steps, self._duration_steps - self.n_steps)
+        self.wait(self._period_steps)
+
+    def wait(self, steps: int) -> None:
+        """Let it drive on as it does for so many steps, or to the end of its duration, before it decides."""
+        self._left = min(steps, self._duration_steps - self.n_steps)
+
+    def forget_gaps(self) -> None:
+        """Look at the gaps again when they are next asked for: another vehicle has claimed a lane meanwhile."""
+        self._gaps = {}
+
+    def leave(self) -> None:
+        """End its episode as it was last seen: it has left the road, or what it could drive of it."""
+        self._travelled_m += SECONDS_PER_STEP * sum(self.host.speeds_mps[self._n_looked_back :])
+        self._mask = KEEP_ALONE
+        self.end = "left the road"
 
     def command(self) -> Command:
         """Return what to do next, for no more steps than there are until the next decision."""
@@ -196,9 +228,14 @@ class Agent:
     def is_due(self) -> bool:
         """Whether the next decision falls due: by the clock, at the end of a lane change, or at a contact."""
         ended_change = self._was_changing and not self.adas.changing_lane
-        return self._left <= 0 or ended_change or self.host.contact
+        return self.is_spent or ended_change
 
-    # Counts, and the trajectory.
+    @property
+    def is_spent(self) -> bool:
+        """Whether it has driven all the steps of its decision, or has had a contact."""
+        return self._left <= 0 or self.host.contact
+
+    # Counts, rewards, and the trajectory.
 
     @property
     def is_driven_by_us(self) -> bool:
@@ -215,24 +252,47 @@ class Agent:
         """How many of its decisions were not carried out."""
         return self.adas.refused_decisions
 
-    def last(self, steps: int) -> tuple[Floats, Floats, Any]:
+    def _last(self, steps: int) -> tuple[Floats, Floats, Any]:
         """Return speeds, limits and whether a lane change was under way, for each of the last steps."""
+        first = self.n_steps - steps
         return (
-            np.array(self.host.speeds_mps[-steps:]),
-            np.array(self._limits_mps[-steps:]),
-            np.array(self._lane_changing[-steps:]),
+            np.array(self.host.speeds_mps[first + 1 : self.n_steps + 1]),
+            np.array(self._limits_mps[first:]),
+            np.array(self._lane_changing[first:], dtype=np.bool_),
         )
 
+    def earned(self) -> float:
+        """Return the reward for what it has driven since its last decision."""
+        n_steps, overtakes, overtaken, refused_decisions = self._at_decision
+        return reward(
+            *self._last(self.n_steps - n_steps),
+            self._world.adas,
+            overtakes=self.overtakes - overtakes,
+            overtaken=self.overtaken - overtaken,
+            refused_decisions=self.refused_decisions - refused_decisions,
+            collisions=int(self.end == "collision"),
+        )
+
+    def info(self, seed: int) -> dict[str, Any]:
+        """Return its `action_mask`, and when its episode is over what it came to; see `HighwayEnv.step`."""
+        info: dict[str, Any] = {"action_mask": np.array(self.mask, np.int8)}
+        if self.end is not None:
+            info |= metrics.row(self.trajectory(seed), self._world.adas)
+            info["is_success"] = self.end != "collision"
+        return info
+
     def trajectory(self, seed: int) -> Trajectory:
-        """Return its episode so far; `seed` is the traffic's."""
+        """Return its episode up to the last look; `seed` is the traffic's."""
         host, adas = self.host, self.adas
         return Trajectory(
             observations=np.array(self._observations),
             decisions=np.array(self._decisions, dtype=np.int64),
             carried_out=np.array(self._carried_out, dtype=np.int64),
             allowed=np.array(self._allowed, dtype=np.bool_),
+            decision_step=np.array(self._decision_step, dtype=np.int64),
+            decision_place=np.array(self._decision_place),
             speed_mps=np.array(host.speeds_mps),
-            distance_m=host.travelled_m,
+            distance_m=self._travelled_m,
             limit_mps=np.array(self._limits_mps),
             lane_changing=np.array(self._lane_changing, dtype=np.bool_),
             overtakes=self.overtakes,

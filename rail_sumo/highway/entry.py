@@ -2,6 +2,7 @@
 
 import itertools
 import math
+from collections.abc import Iterable, Iterator
 
 import numpy as np
 
@@ -35,35 +36,59 @@ def take_over(simulation: Simulation, config: Config, demand: Demand, rng: np.ra
             drive, or the network cannot be read.
     """
     road.require_readable(config.network.file)
-    traffic = config.traffic
-    by_name = traffic.host != "replaces"
-    first_s, last_s = demand.departs_s
-    earliest_s = max(min(traffic.begin_s + traffic.warm_up_s, last_s), first_s, traffic.begin_s)
-    if by_name:
-        from_s, until_s = traffic.begin_s, min(last_s + WAIT_S, traffic.begin_s + WAIT_FOR_NAMED_S)
-    else:
-        from_s = rng.uniform(earliest_s, max(min(last_s, earliest_s + traffic.entry_within_s), earliest_s))
-        until_s = from_s + WAIT_S
+    from_s, until_s = moments(config, demand, rng)
     simulation.run_until(from_s - SECONDS_PER_STEP)
     for steps in itertools.count(1):
         simulation.run_without_host(SECONDS_PER_STEP)
-        for car in simulation.departed():
-            if car.name != traffic.host if by_name else not car.is_car:
-                continue
-            try:
-                stretch = stretch_of(car, config)
-            except CourseError:  # too short, or not on lanes that the host may use
-                if by_name:
-                    raise
-                continue
-            is_choosy = not by_name and steps * SECONDS_PER_STEP < CHOOSY_S
-            if not is_choosy or stretch.drivable_m >= traffic.shortest_route_m:
-                simulation.lay_course(stretch.road, config.adas, sees_m=stretch.sees_m, host=car.name)
-                simulation.take_over(car)
-                return stretch
+        for car, stretch in replaceable(simulation.departed(), config, waited_s=steps * SECONDS_PER_STEP):
+            simulation.lay_course(stretch.road, config.adas, sees_m=stretch.sees_m, host=car.name)
+            simulation.take_over(car)
+            return stretch
         if simulation.now_s > until_s or not simulation.expects_vehicles:
             break
-    raise InputError(_nobody(config, simulation.now_s, first_s, last_s))
+    raise InputError(nobody(config, demand, simulation.now_s))
+
+
+def moments(config: Config, demand: Demand, rng: np.random.Generator) -> tuple[float, float]:
+    """Return from when on to wait for a car that the host can replace, drawn as `take_over` says, and until when."""
+    traffic = config.traffic
+    first_s, last_s = demand.departs_s
+    if not is_drawn(config):
+        return traffic.begin_s, min(last_s + WAIT_S, traffic.begin_s + WAIT_FOR_NAMED_S)
+    earliest_s = max(min(traffic.begin_s + traffic.warm_up_s, last_s), first_s, traffic.begin_s)
+    from_s = rng.uniform(earliest_s, max(min(last_s, earliest_s + traffic.entry_within_s), earliest_s))
+    return from_s, from_s + WAIT_S
+
+
+def is_drawn(config: Config) -> bool:
+    """Return whether the car that the host replaces is drawn, and not named."""
+    return config.traffic.host == "replaces"
+
+
+def replaceable(cars: Iterable[Inserted], config: Config, *, waited_s: float) -> Iterator[tuple[Inserted, Stretch]]:
+    """Yield those of the vehicles that have just departed that the host can replace, and what it would drive.
+
+    Args:
+        cars: the vehicles.
+        config: the world; see `traffic.host` and `traffic.shortest_route_m`.
+        waited_s: for how long there has been none.
+
+    Raises:
+        CourseError: the one that is named has a route that the host could not drive.
+        InputError: the network cannot be read.
+    """
+    traffic, drawn = config.traffic, is_drawn(config)
+    for car in cars:
+        if not car.is_car if drawn else car.name != traffic.host:
+            continue
+        try:
+            stretch = stretch_of(car, config)
+        except CourseError:  # too short, or not on lanes that the host may use
+            if drawn:
+                continue
+            raise
+        if not drawn or waited_s >= CHOOSY_S or stretch.drivable_m >= traffic.shortest_route_m:
+            yield car, stretch
 
 
 def stretch_of(car: Inserted, config: Config) -> Stretch:
@@ -81,7 +106,9 @@ def stretch_of(car: Inserted, config: Config) -> Stretch:
     return Stretch.along(course, config, car.front_m)
 
 
-def _nobody(config: Config, now_s: float, first_s: float, last_s: float) -> str:
+def nobody(config: Config, demand: Demand, now_s: float) -> str:
+    """Return why there is no host: no car has departed by now that it could replace."""
+    first_s, last_s = demand.departs_s
     until = "on" if math.isinf(last_s) else f"to {last_s:.0f} s"
     asked = config.traffic.host
     by_now = (

@@ -8,23 +8,27 @@ from typing import Any
 import gymnasium
 import numpy as np
 from gymnasium import spaces
+from numpy.typing import NDArray
 
 from rail_sumo import assets
-from rail_sumo.config import Config
-from rail_sumo.errors import InputError
-from rail_sumo.highway import entry, metrics, sumo_process, varied
+from rail_sumo.config import FASTEST_CAR_MPS, Config
+from rail_sumo.errors import InputError, did_you_mean
+from rail_sumo.highway import drawing, entry, sumo_process, varied, window
 from rail_sumo.highway.adas import lanes_leading_on
 from rail_sumo.highway.agent import Agent
-from rail_sumo.highway.network import demand, road
+from rail_sumo.highway.network import demand, markings, road
 from rail_sumo.highway.observation import bounds
-from rail_sumo.highway.reward import reward
 from rail_sumo.highway.simulation import HOST, Simulation
 from rail_sumo.highway.stretch import Stretch
 from rail_sumo.highway.traffic import MovingWindow
-from rail_sumo.records import SECONDS_PER_STEP, Floats, Gaps, HostState, MetaAction, Scene, Trajectory
+from rail_sumo.records import KMH, SECONDS_PER_STEP, Floats, Gaps, HostState, MetaAction, Scene, Trajectory
 
 DEMAND_START_M = 10.0
 """Place on the course where the host enters the user's own traffic."""
+RENDER_MODES = ("human", "rgb_array")
+FRAME_PX = 960
+VIEW = drawing.View(behind_m=44.0, ahead_m=66.0, right_m=18.4, left_m=18.4)
+"""What a frame shows: 960 x 384 pixels."""
 
 
 class HighwayEnv(gymnasium.Env[Floats, np.int64]):
@@ -39,15 +43,29 @@ class HighwayEnv(gymnasium.Env[Floats, np.int64]):
         hands_off: leave the host to SUMO's own driver and ignore the actions; with the id of one of the demand's
             vehicle types, as a vehicle of that type.
         outputs: further options of SUMO's, such as those of its own reports, which are whole once an episode is closed.
+        render_mode: "rgb_array": `render` returns the road around the host from above, at its last decision; "human":
+            every decision is shown so in a window. Needs the extra `render`.
+
+    Raises:
+        InputError: a world that cannot be driven, another render mode, or what it needs is not installed.
     """
 
-    metadata = {"render_modes": []}  # noqa: RUF012  gymnasium reads it from the class
+    metadata = {"render_modes": list(RENDER_MODES), "render_fps": 1.0}  # noqa: RUF012  gymnasium reads it from the class
     _simulation: Simulation | None = None
+    _picture: drawing.Picture | None = None
+    _window: window.Window | None = None
 
     def __init__(
-        self, config: Config | None = None, *, hands_off: bool | str = False, outputs: Sequence[str] = ()
+        self,
+        config: Config | None = None,
+        *,
+        hands_off: bool | str = False,
+        outputs: Sequence[str] = (),
+        render_mode: str | None = None,
     ) -> None:
         self.config = config or Config()
+        self.render_mode = checked(render_mode)
+        self.metadata = metadata_of(self.config)
         self._hands_off = hands_off
         self._outputs = outputs
         self._settle(varied.draw(self.config, 0))
@@ -77,7 +95,7 @@ class HighwayEnv(gymnasium.Env[Floats, np.int64]):
     def reset(self, *, seed: int | None = None, options: dict[str, Any] | None = None) -> tuple[Floats, dict[str, Any]]:
         """Begin an episode; the same seed gives the same traffic."""
         super().reset(seed=seed)
-        self.close()
+        self._free()
         self._seed = int(self.np_random.integers(2**31)) if seed is None else seed
         if self.config.varied.networks:
             self._settle(varied.draw(self.config, self._seed))
@@ -86,7 +104,9 @@ class HighwayEnv(gymnasium.Env[Floats, np.int64]):
         except BaseException:
             self.close()  # or no other environment could begin in this process
             raise
-        return self._look(0), self._info()
+        observation = self._look(0)
+        self._show()
+        return observation, self.agent.info(self._seed)
 
     def _outputs_of_host(self) -> Sequence[str]:
         """Return SUMO's options for outputs, which name the host: of a car yet to be drawn it is drawn once before."""
@@ -95,7 +115,7 @@ class HighwayEnv(gymnasium.Env[Floats, np.int64]):
         self._open(np.random.default_rng(self._seed), ())
         assert self._simulation is not None
         name = self._simulation.host.name
-        self.close()
+        self._free()
         return [name if word == HOST else word for word in self._outputs]
 
     def _open(self, rng: np.random.Generator, outputs: Sequence[str]) -> None:
@@ -109,7 +129,7 @@ class HighwayEnv(gymnasium.Env[Floats, np.int64]):
             outputs=outputs,
             limit_factor=self.world.network.limit_factor,
         )
-        self._window: MovingWindow | None = None
+        self._traffic: MovingWindow | None = None
         if self.is_one_of_the_demand:
             self.stretch = entry.take_over(simulation, self.world, self.demand, rng)
         else:
@@ -150,7 +170,7 @@ class HighwayEnv(gymnasium.Env[Floats, np.int64]):
             as_traffic=has_traffic and adas.starts_by_the_limit,
         )
         if not has_traffic:
-            self._window = MovingWindow(
+            self._traffic = MovingWindow(
                 simulation,
                 stretch.road,
                 traffic,
@@ -167,26 +187,11 @@ class HighwayEnv(gymnasium.Env[Floats, np.int64]):
         names of the `episodes` table, and `is_success`: whether it ended without a contact. Its whole course is
         `trajectory`.
         """
+        observation, _ = self.drive(int(action))
+        self._show()
         agent = self.agent
-        before = (agent.overtakes, agent.overtaken, agent.refused_decisions)
-        observation, driven = self.drive(int(action))
         crashed = agent.end == "collision"
-        earned = reward(
-            *agent.last(driven),
-            self.world.adas,
-            overtakes=agent.overtakes - before[0],
-            overtaken=agent.overtaken - before[1],
-            refused_decisions=agent.refused_decisions - before[2],
-            collisions=int(crashed),
-        )
-        return observation, earned, crashed, self.is_over and not crashed, self._info()
-
-    def _info(self) -> dict[str, Any]:
-        info: dict[str, Any] = {"action_mask": np.array(self.agent.mask, np.int8)}
-        if self.is_over:
-            info |= metrics.row(self.trajectory(), self.world.adas)
-            info["is_success"] = self.agent.end != "collision"
-        return info
+        return observation, agent.earned(), crashed, self.is_over and not crashed, agent.info(self._seed)
 
     @sumo_process.as_input_errors
     def drive(self, action: int) -> tuple[Floats, int]:
@@ -215,9 +220,9 @@ class HighwayEnv(gymnasium.Env[Floats, np.int64]):
         """Sense, check whether the episode is over, and replace vehicles that left the window."""
         assert self._simulation is not None
         observation = self.agent.look(self._simulation.scene())
-        if self._window is not None:
+        if self._traffic is not None:
             elapsed_s = driven * SECONDS_PER_STEP
-            self._window.update(elapsed_s=elapsed_s, host_changing_lane=self.agent.is_changing_lane)
+            self._traffic.update(elapsed_s=elapsed_s, host_changing_lane=self.agent.is_changing_lane)
         return observation
 
     @property
@@ -283,12 +288,84 @@ class HighwayEnv(gymnasium.Env[Floats, np.int64]):
         """Return the episode so far."""
         return self.agent.trajectory(self._seed)
 
+    # What it looks like.
+
+    def render(self) -> NDArray[np.uint8] | None:
+        """Return the road around the host at its last decision, shape (384, 960, 3), in the mode "rgb_array".
+
+        In the mode "human" the window has it already. In no mode there is nothing to show; gymnasium warns.
+
+        Raises:
+            RuntimeError: no episode has begun.
+        """
+        if self.render_mode is None:
+            gymnasium.logger.warn("render() shows nothing without a render_mode; make the environment with one")
+        return self._frame() if self.render_mode == "rgb_array" else None
+
+    def _show(self) -> None:
+        if self.render_mode == "human":
+            self._window = self._window or window.Window("rail-sumo", self.metadata["render_fps"])
+            self._window.show(self._frame())
+
+    def _frame(self) -> NDArray[np.uint8]:
+        if self._agent is None:
+            raise RuntimeError("there is nothing to show yet; call reset()")
+        agent, course = self._agent, self.stretch.road
+        if self._picture is None or self.config.varied.networks:
+            self._picture = drawing.Picture(FRAME_PX, VIEW, (0.0, min(course.highest_limit_mps, FASTEST_CAR_MPS) * KMH))
+        moment = drawing.Moment(
+            agent.scene,
+            agent.observation[: self.config.lidar.n_rays],
+            markings.of(course),
+            course.boundaries,
+            is_left_hand=course.is_left_hand,
+        )
+        self._picture.draw(moment, _told(agent), f"{agent.n_steps * SECONDS_PER_STEP:.1f} s")
+        return self._picture.pixels()
+
     def __del__(self) -> None:
         with suppress(Exception):  # while the interpreter shuts down nothing is certain
             self.close()
 
     def close(self) -> None:
-        """Free the process's simulation; harmless when none is open."""
+        """Free the process's simulation, and close the window; harmless when neither is open."""
+        self._free()
+        if self._window is not None:
+            self._window.close()
+            self._window = None
+
+    def _free(self) -> None:
         if self._simulation is not None:
             self._simulation.close()
             self._simulation = None
+
+
+def checked(render_mode: str | None) -> str | None:
+    """Return a render mode, if all is there that it needs.
+
+    Raises:
+        InputError: there is no such mode, or what it needs is not installed.
+    """
+    if render_mode is not None:
+        if render_mode not in RENDER_MODES:
+            raise InputError(f"render_mode '{render_mode}' not found{did_you_mean(render_mode, RENDER_MODES)}")
+        drawing.require_matplotlib()
+        if render_mode == "human":
+            window.require_pygame()
+    return render_mode
+
+
+def metadata_of(config: Config) -> dict[str, Any]:
+    """Return Gymnasium's metadata: a frame for every decision, as many in a second as are taken."""
+    return {"render_modes": list(RENDER_MODES), "render_fps": 1.0 / config.episode.decision_period_s}
+
+
+def _told(agent: Agent) -> str:
+    """Return the line above a frame: the host's speed, and its last decision."""
+    speed = f"{agent.scene.speed_mps[0] * KMH:.0f} km/h"
+    if agent.end is not None:
+        return f"{speed}, the end: {agent.end}"
+    if agent.decided is None:
+        return speed
+    asked, carried_out = agent.decided
+    return f"{speed}, {asked.name.lower()}{'' if asked == carried_out else ' (refused)'}"

@@ -9,8 +9,9 @@ from typing import Literal
 from rail_sumo import assets
 from rail_sumo.config import Config
 from rail_sumo.errors import CourseError, InputError
-from rail_sumo.highway import entry, sumo_process
+from rail_sumo.highway import sumo_process
 from rail_sumo.highway.agent import Agent
+from rail_sumo.highway.driven import Driven, Ride
 from rail_sumo.highway.host import Host
 from rail_sumo.highway.network import demand, road
 from rail_sumo.highway.network.demand import Demand
@@ -91,7 +92,7 @@ class Fleet:
         """The vehicle types of the cars among them. SUMO is not asked for others: it would draw from distributions."""
         self.teleported: list[tuple[float, str]] = []
         """Who was taken off the road to be put on again elsewhere, and when."""
-        self._seats: dict[str, _Seat] = {}
+        self._decide: dict[str, Decide] = {}
         self._world = self.world.changed(episode={"course_m": math.inf, "duration_s": 1e9})
 
     @sumo_process.as_input_errors
@@ -114,38 +115,36 @@ class Fleet:
             limit_factor=self.world.network.limit_factor,
         ) as simulation:
             self.lanes = simulation.lanes()
+            everybody = Driven(simulation, self._world, keeps_trajectory=False)
             for number in range(round((until_s - begin_s) / SECONDS_PER_STEP)):
-                self._step(simulation)
+                self._step(simulation, everybody)
                 if number % round(1.0 / SECONDS_PER_STEP) == 0:
                     on_road.append(simulation.n_on_road)
-            for seat in self._seats.values():
-                self._count_contacts(seat.agent.host)
+            for ride in everybody.rides.values():
+                self._count_contacts(ride.agent.host)
         return on_road
 
-    def _step(self, simulation: Simulation) -> None:
-        for seat in list(self._seats.values()):
-            if seat.is_over(simulation):
-                self._part(simulation, seat.agent.host.name)
-            else:
-                self.decisions += seat.command(simulation)
-        for gone in simulation.step():
-            self._count_contacts(self._seats.pop(gone).agent.host)
-        for seat in self._seats.values():
-            if not seat.agent.host.is_lost:
-                seat.note()
+    def _step(self, simulation: Simulation, everybody: Driven) -> None:
+        for name, ride in list(everybody.rides.items()):
+            if self._is_over(simulation, ride):
+                self._count_contacts(everybody.part(name).agent.host)
+            elif ride.is_idle:
+                self._command(simulation, ride)
+        for gone in everybody.step():
+            self._count_contacts(gone.agent.host)
         self.teleported += [(simulation.now_s, name) for name in simulation.teleporting()]
         for car in simulation.departed():
             self.inserted[car.name] = car
             if car.is_car:
                 self.kinds_of_cars.add(car.kind)
             if self.is_of_the_share(car.name, car.kind):
-                self._enter(simulation, car)
+                self._enter(simulation, everybody, car)
 
     def is_of_the_share(self, vehicle: str, kind: str, share: float | None = None) -> bool:
         """Return whether a vehicle, by its id and its type's, is among the cars of a share; by default the fleet's."""
         return kind in self.kinds_of_cars and is_driven(vehicle, self.share if share is None else share, self.seed)
 
-    def _enter(self, simulation: Simulation, car: Inserted) -> None:
+    def _enter(self, simulation: Simulation, everybody: Driven, car: Inserted) -> None:
         if self.driver == "nothing":
             self.driven.add(car.name)
             return
@@ -154,66 +153,30 @@ class Fleet:
             self.driven.add(car.name)
             return
         try:
-            stretch = entry.stretch_of(car, self._world)
+            everybody.enter(car)
         except CourseError as error:  # too short, or not on lanes that a host may use
             self.undriven[car.name] = str(error)
             return
-        host = simulation.lay_course(
-            stretch.road, self.world.adas, sees_m=stretch.sees_m, host=car.name, shares_type=True
-        )
-        simulation.take_over(car)
-        agent = Agent(
-            host,
-            stretch,
-            self._world,
-            enters_as_traffic=self.world.adas.starts_by_the_limit,
-            keeps_trajectory=False,
-        )
-        self._seats[car.name] = _Seat(agent, self.driver(car.name))
+        self._decide[car.name] = self.driver(car.name)
         self.driven.add(car.name)
 
-    def _part(self, simulation: Simulation, name: str) -> None:
-        host = self._seats.pop(name).agent.host
-        self._count_contacts(host)
-        simulation.hand_back(host)
+    def _is_over(self, simulation: Simulation, ride: Ride) -> bool:
+        """Look around if it is time to, and return whether a vehicle has driven as far as it can."""
+        agent = ride.agent
+        if agent.host.is_lost:
+            return True
+        if ride.is_idle and agent.is_due:
+            agent.look(simulation.scene(agent.host))
+        return agent.end is not None
+
+    def _command(self, simulation: Simulation, ride: Ride) -> None:
+        """Have a vehicle decide if it is time to, and give it its next command."""
+        agent = ride.agent
+        if agent.is_due:
+            agent.decide(MetaAction(self._decide[agent.host.name](agent.observation, agent)))
+            self.decisions += 1
+        ride.command(simulation)
 
     def _count_contacts(self, host: Host) -> None:
         self.contacts += host.collisions + host.struck
         self.struck_another += host.collisions
-
-
-class _Seat:
-    """An agent and what decides for it, step by step."""
-
-    def __init__(self, agent: Agent, decide: Decide) -> None:
-        self.agent = agent
-        self._decide = decide
-        self._ordered = self._driven = 0  # steps of the present command
-
-    def is_over(self, simulation: Simulation) -> bool:
-        """Look around if it is time to, and return whether the agent has driven as far as it can."""
-        if self.agent.host.is_lost:
-            return True
-        if self._driven == self._ordered and self.agent.is_due:
-            self.agent.look(simulation.scene(self.agent.host))
-        return self.agent.end is not None
-
-    def command(self, simulation: Simulation) -> bool:
-        """Give the next command if the last has been carried out; returns whether that took a decision."""
-        if self._driven < self._ordered:
-            return False
-        agent, decides = self.agent, self.agent.is_due
-        if decides:
-            agent.decide(MetaAction(self._decide(agent.observation, agent)))
-        command = agent.command()
-        simulation.obey(agent.host, command)
-        self._ordered, self._driven = command.steps, 0
-        return decides
-
-    def note(self) -> None:
-        """Note that a step has been driven."""
-        self._driven += 1
-        host = self.agent.host
-        if self._driven == self._ordered or host.contact or host.must_look:
-            self.agent.note(self._driven)
-            self._ordered = self._driven

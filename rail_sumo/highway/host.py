@@ -126,8 +126,9 @@ class Host:
         self.min_ttc_s = math.inf
         self._behind: list[_Watched] = []
         self._watched_until = 0  # as in `_Watched`, of the last of them
-        self._lane_id = ""  # that SUMO's own driver was on
-        self._sumos_lane_changes = 0
+        self._lane_id = ""  # that the host was on while SUMO's own driver might change it
+        self.sumos_lane_changes = 0
+        """How often SUMO has changed lanes, as its driver or while it asked to be let in."""
         self._equip()
 
     def _equip(self) -> None:
@@ -253,7 +254,7 @@ class Host:
                 limit_mps=limit_mps,
                 limits_ahead=(*self._limits_beyond_this_lane(), *within_junction),
                 stops_ahead=stops,
-                sumos_lane_changes=self._sumos_lane_changes,
+                sumos_lane_changes=self.sumos_lane_changes,
             )
         here, to_edge_end_m = lane - lanes[0], to_lane_end_m(self.name)
         return HostState(
@@ -271,7 +272,7 @@ class Host:
             right_goes_on_m=edge.right_goes_on_m[here],
             limits_ahead=edge.limits_ahead,
             stops_ahead=stops,
-            sumos_lane_changes=self._sumos_lane_changes,
+            sumos_lane_changes=self.sumos_lane_changes,
         )
 
     @property
@@ -425,6 +426,7 @@ class Host:
         SUMO's lane changer makes drivers give way to a vehicle that wants to change lanes by itself. So the host is set
         to want to, and never does: its gaps would have to be longer than any. Only where SUMO takes a gap of no length,
         between a slower vehicle behind and a faster one ahead, it would change at once; there the host does not ask.
+        Where others come to drive so in the very same step SUMO takes that gap, and the host is in the next lane.
         """
         asks = side != 0 and self._needs_room(side)
         if asks == self._asks:
@@ -437,7 +439,7 @@ class Host:
         except libsumo.TraCIException:  # its lane-change model, a demand's default, knows no such thing
             return
         vehicle.setLaneChangeMode(self.name, ASKS if asks else COMMANDED_ONLY)
-        self._asks = asks
+        self._asks, self._lane_id = asks, vehicle.getLaneID(self.name)
 
     def _needs_room(self, side: int) -> bool:
         """Whether SUMO's drivers would keep a gap between the host and its neighbours in the lane on a side."""
@@ -515,7 +517,7 @@ class Host:
                 self.min_ttc_s = leader[0] / closing_mps
         if libsumo.simulation.getCollidingVehiclesNumber():
             self._note_contacts()
-        if self._sumo_drives:
+        if self._sumo_drives or self._asks:
             self._note_lane()
         if len(self.speeds_mps) <= self._watched_until:
             self._note_behind()
@@ -563,10 +565,10 @@ class Host:
                         watched.speeds_mps.append(speed_mps)
 
     def _note_lane(self) -> None:
-        """Notice when SUMO's own driver has changed lanes."""
+        """Notice when SUMO has changed lanes for the host, as its own driver or while the host asks to be let in."""
         lane_id = libsumo.vehicle.getLaneID(self.name)
         if lane_id != self._lane_id and self._is_beside(lane_id):
-            self._sumos_lane_changes += 1
+            self.sumos_lane_changes += 1
             follower = libsumo.vehicle.getFollower(self.name)
             if follower and follower[0]:
                 self._watch(follower[0])

@@ -1,4 +1,4 @@
-"""The environment in a process of its own, so that several live side by side."""
+"""An environment in a process of its own, so that several live side by side."""
 
 import os
 import secrets
@@ -11,52 +11,54 @@ from typing import Any
 import gymnasium
 import numpy as np
 from gymnasium import spaces
+from numpy.typing import NDArray
 
 from rail_sumo.config import Config
-from rail_sumo.highway.env import HighwayEnv
+from rail_sumo.highway.env import HighwayEnv, checked, metadata_of
 from rail_sumo.highway.observation import bounds
 from rail_sumo.records import Floats, MetaAction, Trajectory
 
 
-class Isolated(gymnasium.Env[Floats, np.int64]):
-    """Does all that `HighwayEnv` does, in a child process that ends with it.
+class Child:
+    """An environment of some kind in a child process, which ends with it.
 
-    The child runs this module alone: a script needs no `if __name__ == "__main__"` for it. A decision takes about
-    0.1 ms longer than here.
+    The child runs this module alone: a script needs no `if __name__ == "__main__"` for it. A call takes about 0.1 ms
+    longer than here.
 
     Args:
-        config: the world.
-        further: more arguments of `HighwayEnv`.
+        kind: the environment's class.
+        arguments, named: those of its constructor.
 
     Raises:
-        InputError: as `HighwayEnv` does.
+        InputError: as the constructor does.
     """
 
-    metadata = HighwayEnv.metadata
-
-    def __init__(self, config: Config, **further: Any) -> None:
+    def __init__(self, kind: type, *arguments: Any, **named: Any) -> None:
         self._connection: Connection | None = None
-        self.observation_space = spaces.Box(*bounds(config.lidar, config.observation), dtype=np.float64)
-        self.action_space = spaces.Discrete(len(MetaAction))
         key = secrets.token_bytes(32)
         with Listener(authkey=key) as listener:
-            self._child = subprocess.Popen(
+            self.process = subprocess.Popen(
                 [sys.executable, "-m", __name__, str(listener.address)],
                 stdin=subprocess.PIPE,
                 env=os.environ | {"PYTHONPATH": os.pathsep.join(filter(None, sys.path))},
             )
-            assert self._child.stdin is not None
-            self._child.stdin.write(key)
-            self._child.stdin.close()
+            assert self.process.stdin is not None
+            self.process.stdin.write(key)
+            self.process.stdin.close()
             self._connection = listener.accept()
-        self._ask("__init__", config, **further)
+        self._connection.send(kind)
+        self.ask("__init__", *arguments, **named)
 
-    def _ask(self, method: str, *args: Any, **named: Any) -> Any:
-        """Call a method of the child's environment; what it raises is raised here."""
+    def ask(self, method: str, *arguments: Any, **named: Any) -> Any:
+        """Call a method of the environment; what it raises is raised here.
+
+        Raises:
+            RuntimeError: the process has been closed, or has died.
+        """
         if self._connection is None:
             raise RuntimeError("the environment is closed")
         try:
-            self._connection.send((method, args, named))
+            self._connection.send((method, arguments, named))
             is_error, answer = self._connection.recv()
         except (EOFError, OSError) as error:
             self._end()
@@ -64,23 +66,6 @@ class Isolated(gymnasium.Env[Floats, np.int64]):
         if is_error:
             raise answer
         return answer
-
-    def reset(self, *, seed: int | None = None, options: dict[str, Any] | None = None) -> tuple[Floats, dict[str, Any]]:
-        """Begin an episode; the same seed gives the same traffic."""
-        super().reset(seed=seed)
-        return self._ask("reset", seed=seed, options=options)
-
-    def step(self, action: int | np.int64) -> tuple[Floats, float, bool, bool, dict[str, Any]]:
-        """Take one decision and drive until the next falls due."""
-        return self._ask("step", int(action))
-
-    def action_masks(self) -> list[bool]:
-        """Return for each meta-action whether a masked policy may choose it now."""
-        return self._ask("action_masks")
-
-    def trajectory(self) -> Trajectory:
-        """Return the episode so far."""
-        return self._ask("trajectory")
 
     def close(self) -> None:
         """End the process; harmless when it has ended."""
@@ -93,17 +78,66 @@ class Isolated(gymnasium.Env[Floats, np.int64]):
         if self._connection is not None:
             self._connection.close()
             self._connection = None
-            self._child.wait()
+            self.process.wait()
 
     def __del__(self) -> None:
         with suppress(Exception):  # while the interpreter shuts down nothing is certain
             self.close()
 
 
+class Isolated(gymnasium.Env[Floats, np.int64]):
+    """Does all that `HighwayEnv` does, in a child process that ends with it; see `Child`.
+
+    Args:
+        config: the world.
+        further: more arguments of `HighwayEnv`.
+
+    Raises:
+        InputError: as `HighwayEnv` does.
+    """
+
+    metadata = HighwayEnv.metadata
+
+    def __init__(self, config: Config, *, render_mode: str | None = None, **further: Any) -> None:
+        self.render_mode = checked(render_mode)
+        self.metadata = metadata_of(config)
+        self.observation_space = spaces.Box(*bounds(config.lidar, config.observation), dtype=np.float64)
+        self.action_space = spaces.Discrete(len(MetaAction))
+        self._child = Child(HighwayEnv, config, render_mode=render_mode, **further)
+
+    def reset(self, *, seed: int | None = None, options: dict[str, Any] | None = None) -> tuple[Floats, dict[str, Any]]:
+        """Begin an episode; the same seed gives the same traffic."""
+        super().reset(seed=seed)
+        return self._child.ask("reset", seed=seed, options=options)
+
+    def step(self, action: int | np.int64) -> tuple[Floats, float, bool, bool, dict[str, Any]]:
+        """Take one decision and drive until the next falls due."""
+        return self._child.ask("step", int(action))
+
+    def render(self) -> NDArray[np.uint8] | None:
+        """Return the road around the host, see `HighwayEnv`; a window is the child's own."""
+        if self.render_mode is None:
+            gymnasium.logger.warn("render() shows nothing without a render_mode; make the environment with one")
+        return self._child.ask("render") if self.render_mode == "rgb_array" else None
+
+    def action_masks(self) -> list[bool]:
+        """Return for each meta-action whether a masked policy may choose it now."""
+        return self._child.ask("action_masks")
+
+    def trajectory(self) -> Trajectory:
+        """Return the episode so far."""
+        return self._child.ask("trajectory")
+
+    def close(self) -> None:
+        """End the process; harmless when it has ended."""
+        self._child.close()
+
+
 def serve(address: str, key: bytes) -> None:
     """Do what the parent asks, until it asks no more or is gone."""
     with Client(address, authkey=key) as parent, suppress(EOFError):
-        env = HighwayEnv.__new__(HighwayEnv)
+        kind = parent.recv()
+        env = kind.__new__(kind)
         while (asked := parent.recv()) is not None:
             method, args, named = asked
             try:

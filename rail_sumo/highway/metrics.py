@@ -8,7 +8,7 @@ import numpy as np
 from rail_sumo.config import Adas
 from rail_sumo.highway.hard_braking import hard_brakings
 from rail_sumo.highway.reward import lateral_reward, longitudinal_reward
-from rail_sumo.records import KMH, SECONDS_PER_STEP, Trajectory
+from rail_sumo.records import KMH, SECONDS_PER_STEP, MetaAction, Trajectory
 
 
 def row(trajectory: Trajectory, adas: Adas) -> dict[str, Any]:
@@ -38,6 +38,21 @@ def row(trajectory: Trajectory, adas: Adas) -> dict[str, Any]:
         "hard_brakings": hard_brakings(trajectory.speed_mps),
         "hard_brakings_behind": trajectory.hard_brakings_behind,
         "end_reason": trajectory.end_reason,
+    }
+
+
+def decisions(trajectory: Trajectory) -> dict[str, Any]:
+    """Return the columns of an episode's part of the `decisions` table, without `policy` and `episode`."""
+    names = np.array([action.name.lower() for action in MetaAction])
+    distance_m, x_m, y_m = trajectory.decision_place.reshape(-1, 3).T
+    return {
+        "time_s": trajectory.decision_step * SECONDS_PER_STEP,
+        "distance_m": distance_m,
+        "x_m": x_m,
+        "y_m": y_m,
+        "speed_kmh": trajectory.speed_mps[trajectory.decision_step] * KMH,
+        "asked": names[trajectory.decisions],
+        "carried_out": names[trajectory.carried_out],
     }
 
 

@@ -14,7 +14,7 @@ from scipy import stats
 from rail_sumo.errors import InputError
 from rail_sumo.files import check_file, whole_file
 from rail_sumo.records import Floats
-from rail_sumo.run_directory import PROGRESS_COLUMNS, RunDirectory
+from rail_sumo.run_directory import PROGRESS, PROGRESS_COLUMNS, RunDirectory
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -155,7 +155,11 @@ def save(figure: "Figure", out: Path, *, overwrite: bool = False) -> None:
 
 
 def _progress(run: Path) -> pd.DataFrame:
-    progress = pd.DataFrame(RunDirectory(run).checkpoint().progress, columns=list(PROGRESS_COLUMNS))
+    RunDirectory(run)  # or there is nothing to draw
+    try:
+        progress = pd.read_csv(run / PROGRESS)[list(PROGRESS_COLUMNS)]
+    except (OSError, ValueError, KeyError) as error:
+        raise InputError(f"'{run / PROGRESS}' is missing or damaged: {error}") from None
     if progress.empty:
         raise InputError(f"run '{run}' has no iteration to draw")
     return progress

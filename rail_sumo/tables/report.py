@@ -11,7 +11,7 @@ from rich.markup import escape
 from rich.table import Table
 
 from rail_sumo.files import whole_folder
-from rail_sumo.records import EPISODE_COLUMNS, METRICS, SUMMARY_COLUMNS, UNDRIVEN, Floats
+from rail_sumo.records import DECISION_COLUMNS, EPISODE_COLUMNS, METRICS, SUMMARY_COLUMNS, UNDRIVEN, Floats
 from rail_sumo.tables import statistics
 
 EXPERT = "expert"
@@ -34,6 +34,12 @@ def episodes(rows: Iterable[dict[str, Any]]) -> pd.DataFrame:
     if any(row["end_reason"] in UNDRIVEN for row in rows):
         columns |= {name: "Int64" for name in METRICS if columns[name] == "int64"}
     return typed(rows, columns)
+
+
+def decisions(parts: Iterable[tuple[str, int, dict[str, Any]]]) -> pd.DataFrame:
+    """Return the `decisions` table, a row per decision of each policy and episode; see `metrics.decisions`."""
+    tables = [pd.DataFrame({"policy": policy, "episode": episode, **part}) for policy, episode, part in parts]
+    return typed(pd.concat(tables) if tables else [], DECISION_COLUMNS)
 
 
 def summary(episodes: pd.DataFrame, reference: str = EXPERT) -> pd.DataFrame:

@@ -1,6 +1,10 @@
 """The network as it is drawn: lanes, junctions and stop lines near where somebody has driven."""
 
+import itertools
 from collections.abc import Iterable, Iterator
+from dataclasses import replace
+from functools import lru_cache
+from pathlib import Path
 from typing import Any, Literal
 
 import numpy as np
@@ -10,6 +14,7 @@ from rail_sumo.film import Ground, Lane, StopLine
 from rail_sumo.highway.network import road
 from rail_sumo.highway.network.course import CAR
 from rail_sumo.highway.network.lanes import CHANGE_LEFT, CHANGE_RIGHT, may_cross
+from rail_sumo.highway.network.sumo_xml import state_of
 from rail_sumo.records import Floats
 
 NEAR_M = 300.0
@@ -30,20 +35,40 @@ def near(file: str, x_m: Floats, y_m: Floats) -> Ground:
     Raises:
         InputError: no such network, or a damaged one.
     """
-    reader = road.read(file)
-    net = reader.getNet()
-    cells = _cells_near(x_m, y_m)
-    seen = [edge for edge in net.getEdges(withInternal=True) if _touches(_box(_shapes(edge)), cells)]
-    return Ground(
-        lanes=tuple(_lanes(seen, is_left_hand=reader.is_left_hand)),
-        junctions=tuple(
-            np.array(node.getShape())
-            for node in net.getNodes()
-            if len(node.getShape()) > 2 and _touches(_box([node.getShape()]), cells)
-        ),
-        stop_lines=tuple(_stop_lines(seen)),
-        name=assets.network_name(file),
+    every, cells = whole(file), _cells_near(x_m, y_m)
+    lanes = tuple(lane for lane in every.lanes if _touches(_box(lane.points), cells))
+    ids = {lane.id for lane in lanes}
+    return replace(
+        every,
+        lanes=lanes,
+        junctions=tuple(corners for corners in every.junctions if _touches(_box(corners), cells)),
+        stop_lines=tuple(line for line in every.stop_lines if line.lane in ids),
     )
+
+
+def whole(file: str) -> Ground:
+    """Return a whole network as it is drawn; arguments as in `near`."""
+    path = assets.network(file)
+    return _whole(path, state_of(path))
+
+
+@lru_cache(maxsize=16)
+def _whole(path: Path, state: tuple[int, int]) -> Ground:
+    reader = road.read(str(path))
+    net = reader.getNet()
+    edges = net.getEdges(withInternal=True)
+    return Ground(
+        lanes=tuple(_lanes(edges)),
+        junctions=tuple(_flat(node.getShape()) for node in net.getNodes() if len(node.getShape()) > 2),
+        stop_lines=tuple(_stop_lines(edges)),
+        name=assets.network_name(path.name),
+        is_left_hand=reader.is_left_hand,
+    )
+
+
+def _flat(shape: Any) -> Floats:
+    """Return points' x and y, shape (n, 2)."""
+    return np.array(shape, dtype=np.float64).reshape(len(shape), -1)[:, :2]
 
 
 def _cells_near(x_m: Floats, y_m: Floats) -> set[tuple[int, int]]:
@@ -57,27 +82,20 @@ def _touches(box: Box, cells: set[tuple[int, int]]) -> bool:
     return any((x, y) in cells for x in range(west, east + 1) for y in range(south, north + 1))
 
 
-def _shapes(edge: Any) -> list[Any]:
-    return [lane.getShape() for lane in edge.getLanes()]
-
-
-def _box(shapes: Iterable[Any]) -> Box:
-    points = np.concatenate([np.asarray(shape) for shape in shapes])
+def _box(points: Floats) -> Box:
     return *points.min(axis=0).tolist(), *points.max(axis=0).tolist()
 
 
-def _lanes(edges: Iterable[Any], *, is_left_hand: bool) -> Iterator[Lane]:
+def _lanes(edges: Iterable[Any]) -> Iterator[Lane]:
     for edge in edges:
-        lanes = edge.getLanes()  # from the kerb, on whichever side that is
-        for lane in lanes:
-            to_its_left = lane.getIndex() + (-1 if is_left_hand else 1)
+        for lane, beside in itertools.zip_longest(edge.getLanes(), edge.getLanes()[1:]):  # from the kerb
             yield Lane(
                 lane.getID(),
-                np.array(lane.getShape()),
+                _flat(lane.getShape()),
                 lane.getWidth(),
                 is_open=lane.allows(CAR),
                 is_inside=edge.isSpecial(),
-                left_line=_line(lane, lanes[to_its_left]) if 0 <= to_its_left < len(lanes) else "none",
+                left_line="none" if beside is None else _line(lane, beside),
             )
 
 
@@ -86,15 +104,14 @@ def _line(lane: Any, beside: Any) -> Literal["none", "dashed", "solid"]:
         return "none"
     if not (lane.allows(CAR) and beside.allows(CAR)):
         return "solid"
-    inner, outer = sorted((lane, beside), key=lambda one: one.getIndex())
-    return "dashed" if may_cross(inner, CHANGE_LEFT, CAR) or may_cross(outer, CHANGE_RIGHT, CAR) else "solid"
+    return "dashed" if may_cross(lane, CHANGE_LEFT, CAR) or may_cross(beside, CHANGE_RIGHT, CAR) else "solid"
 
 
 def _stop_lines(edges: Iterable[Any]) -> Iterator[StopLine]:
     for edge in edges:
         for lane in () if edge.isSpecial() else edge.getLanes():
             links = sorted({(c.getTLLinkIndex(), c.getTLSID()) for c in lane.getOutgoing() if c.getTLSID()})
-            points = np.array(lane.getShape())
+            points = _flat(lane.getShape())
             along = points[-1] - points[-2]
             to_left = np.array((-along[1], along[0])) / max(float(np.hypot(*along)), 1e-9)
             ends = points[-1] + np.linspace(-0.5, 0.5, len(links) + 1)[:, None] * lane.getWidth() * to_left

@@ -1,0 +1,421 @@
+// Unpacks the films, owns the clock, and lets everything be drawn.
+
+import { PALETTES } from "./colours.js";
+import { Card } from "./card.js";
+import { Curves } from "./curves.js";
+import { FORMAT, Unfit, bytesOf, filmOf, groundOf, inflate } from "./decode.js";
+import { Road } from "./road.js";
+import { Stage } from "./stage.js";
+import { Timeline } from "./marks.js";
+import { KMH, MARKS, clock, kmh, signed } from "./words.js";
+import { canRecord, compose, offer, recorderOf, savePicture } from "./save.js";
+import { clockBase, countUntil, durationOf, frameAt, linkedMoment, momentsOf, neighbour, overtakesOf } from "./timeline.js";
+import { drivenDistance, poseOf } from "./motion.js";
+import { listen } from "./controls.js";
+
+const LINK_EVERY_MS = 1000;
+const LONG_CLOCK_S = 3600; // from here on the clock shows hours and minutes
+const LONGEST_STEP_S = 0.25; // a page that was in the background goes on where it was
+
+const byId = (id) => document.getElementById(id);
+
+async function unpack() {
+  const head = JSON.parse(byId("head").textContent);
+  if (head.format !== FORMAT) throw new Unfit("its data are of another version");
+  const raw = (id) => inflate(bytesOf(byId(id).textContent));
+  const ground = groundOf(await raw("ground"), head.quanta);
+  const films = [];
+  while (byId(`film-${films.length}`)) films.push(filmOf(await raw(`film-${films.length}`), head));
+  return { head, ground, films };
+}
+
+class Page {
+  constructor({ head, ground, films }) {
+    [this.head, this.ground, this.films] = [head, ground, films];
+    this.base = clockBase(films);
+    this.duration = Math.max(...films.map(durationOf));
+    this.long = this.base + this.duration >= LONG_CLOCK_S;
+    this.hidden = new Set(); // kinds of marks that are left out
+    this.elapsed = 0;
+    this.playing = false;
+    this.rate = 1;
+    this.recorder = null;
+    this.composed = document.createElement("canvas");
+    const hasHost = films.some((film) => film.driven);
+    this.options = { follows: hasHost, rays: true, names: !hasHost, palette: PALETTES.light, topMps: topSpeed(films) };
+    this.distances = films.map((film) => (film.driven ? drivenDistance(film, film.driven.vehicle) : null));
+    this.passes = films.map((film) => overtakesOf(film.driven?.marks ?? []));
+    this._build(hasHost);
+    listen((name, value) => this.act(name, value));
+    this._readTheme();
+    this._watch();
+  }
+
+  _build(hasHost) {
+    const { films, head } = this;
+    const app = byId("app");
+    app.hidden = false;
+    byId("message").hidden = true;
+    app.classList.toggle("two", films.length > 1);
+    byId("title").textContent = head.title;
+    fillList(byId("about").querySelector("dl"), head.about);
+    byId("about").hidden = !Object.keys(head.about).length;
+    const leftOut = films.map((film) => film.leftOut).filter(Boolean);
+    byId("left-out").hidden = !leftOut.length;
+    byId("left-out").textContent = [...new Set(leftOut)].join(" ");
+    byId("record").hidden = !canRecord();
+    byId("rays").hidden = !hasHost;
+    byId("difference").hidden = films.length < 2;
+    const hasDecisions = films.some((film) => film.driven?.decisions.length);
+    for (const id of ["previous-decision", "next-decision"]) byId(id).hidden = !hasDecisions;
+    const hasMarks = films.some((film) => film.driven?.marks.length);
+    for (const id of ["previous-mark", "next-mark"]) byId(id).hidden = !hasMarks;
+    const road = () => new Road(this.ground); // each keeps a picture of its own view
+    this.stages = films.map((film, number) => this._stage(film, number, road()));
+    this.timeline = new Timeline(byId("track"), byId("filters"), this);
+    this.curves = new Curves(byId("curves"), this);
+  }
+
+  _stage(film, number, road) {
+    const figure = byId("stage-template").content.cloneNode(true).firstElementChild;
+    const view = document.createElement("div");
+    view.className = "view";
+    view.append(...figure.children);
+    figure.append(view);
+    const name = this.films.length > 1 ? `${"AB"[number]}  ${film.name}` : film.name;
+    figure.querySelector("figcaption").textContent = name;
+    figure.querySelector("canvas").setAttribute("aria-label", `The road from above: ${film.name}`);
+    figure.querySelector(".legend .top").textContent = `${(this.options.topMps * KMH).toFixed(0)} km/h`;
+    byId("stages").append(figure);
+    const stage = new Stage(view, film, road, this.options, (change) => this._moved(change));
+    const card = byId("card-template").content.cloneNode(true).firstElementChild;
+    (this.films.length > 1 ? figure : byId("cards")).append(card);
+    stage.card = new Card(card, stage, this.head.actions, this);
+    return stage;
+  }
+
+  /** Draw the first picture, then what takes longer. */
+  start() {
+    const linked = linkedMoment(location.hash);
+    if (linked !== null) this.elapsed = this._within(linked - this.base);
+    this.curves.build(); // before the stages are measured: they are given what is left
+    this._lay();
+    this._showControls();
+    this.draw();
+    this.firstFrameMs = performance.now();
+    const isStill = matchMedia("(prefers-reduced-motion: reduce)").matches;
+    if (linked === null && !isStill && this.duration > 0) this.act("toggle", "playing");
+  }
+
+  /** Fit everything to the page's size. */
+  _lay() {
+    for (const stage of this.stages) {
+      stage.resize();
+      if (!stage.isMoved) stage.reset();
+    }
+    this.timeline.place();
+    byId("playhead").style.top = `${byId("track").offsetTop}px`;
+  }
+
+  chosen() {
+    return this.stages.map((stage) => stage.target);
+  }
+
+  refiltered() {
+    this.invalidate();
+  }
+
+  act(name, value) {
+    const actions = {
+      toggle: () => this._toggle(value),
+      rate: () => (this.rate = value),
+      decision: () => this._jump(momentsOf(this.films, (film) => film.driven?.decisions ?? []), value),
+      mark: () => this._jumpToMark(value),
+      skip: () => this.seek(this.elapsed + value),
+      seek: () => this.seek(value),
+      zoom: () => this._moved({ stage: this.stages[0], zoom: value }),
+      whole: () => this._whole(),
+      picture: () => savePicture(this._composed(), this._fileName("png")),
+      record: () => this._record(),
+      theme: () => this._switchTheme(),
+      help: () => (byId("keys").open ? byId("keys").close() : byId("keys").showModal()),
+    };
+    actions[name]();
+    this._showControls();
+    this.invalidate();
+  }
+
+  seek(elapsed) {
+    this.elapsed = this._within(elapsed);
+    this._link();
+    this.invalidate();
+  }
+
+  _within(elapsed) {
+    return Math.min(Math.max(elapsed, 0), this.duration);
+  }
+
+  _toggle(what) {
+    if (what === "playing") {
+      this.playing = !this.playing;
+      if (this.playing && this.elapsed >= this.duration) this.elapsed = 0;
+      this.before = null;
+      if (!this.playing) this._link();
+    } else if (what === "follows") {
+      this.options.follows = !this.options.follows;
+      if (this.options.follows) this.stages.forEach((stage) => (stage.target ??= stage.host));
+    } else this.options[what] = !this.options[what];
+  }
+
+  _jump(moments, direction) {
+    const moment = neighbour(moments, this.elapsed, direction);
+    if (moment === null) return;
+    this.playing = false;
+    this.seek(moment);
+  }
+
+  _jumpToMark(direction) {
+    this._jump(momentsOf(this.films, (film) => film.driven?.marks ?? [], (mark) => !this.hidden.has(mark.kind)), direction);
+    const here = this.films.flatMap((film) =>
+      (film.driven?.marks ?? []).filter((mark) => Math.abs(mark.frame * film.stepS - this.elapsed) < 1e-3),
+    );
+    byId("status").textContent = here.map((mark) => [MARKS[mark.kind].label, mark.text].filter(Boolean).join(": ")).join("; ");
+  }
+
+  _whole() {
+    this.options.follows = false;
+    for (const stage of this.stages) stage.showAll();
+  }
+
+  /** A finger or a mouse has moved a view, or chosen somebody. Two films are looked at alike. */
+  _moved({ stage, zoom, left, top, pan, chosen }) {
+    for (const other of this.stages) other.isMoved = true;
+    if (chosen !== undefined) {
+      if (chosen === null) return;
+      stage.target = chosen;
+      this.options.follows = true;
+      this.curves.build();
+    }
+    if (pan) {
+      if (this.options.follows && !zoom) this.options.follows = false;
+      if (!this.options.follows) {
+        const { camera } = stage;
+        for (const other of this.stages) {
+          other.camera.x -= pan[0] / camera.scale;
+          other.camera.y += pan[1] / camera.scale;
+        }
+      }
+    }
+    if (zoom) for (const other of this.stages) other.zoom(zoom, left, top);
+    this._showControls();
+    this.invalidate();
+  }
+
+  invalidate() {
+    if (this.waiting) return;
+    this.waiting = true;
+    requestAnimationFrame((now) => {
+      this.waiting = false;
+      this._advance(now);
+      this.draw();
+      if (this.playing) this.invalidate();
+    });
+  }
+
+  _advance(now) {
+    if (!this.playing) return;
+    if (this.before !== null) {
+      const step = Math.min((now - this.before) / 1000, LONGEST_STEP_S);
+      this.elapsed = this._within(this.elapsed + step * this.rate);
+      if (now - (this.linked ?? 0) > LINK_EVERY_MS) this._link(now);
+    }
+    this.before = now;
+    if (this.elapsed < this.duration) return;
+    this.playing = false;
+    if (this.recorder) this._record();
+    this._link();
+    this._showControls();
+  }
+
+  draw() {
+    const { elapsed } = this;
+    for (const stage of this.stages) {
+      stage.draw(elapsed);
+      stage.card.show(elapsed);
+    }
+    this.timeline.show(elapsed);
+    const share = this.duration ? elapsed / this.duration : 0;
+    byId("playhead").style.transform = `translateX(${(share * byId("track").clientWidth).toFixed(2)}px)`;
+    this._showClock();
+    if (this.films.length > 1) this._showDifference();
+    if (this.recorder) this._composed();
+  }
+
+  _showClock() {
+    const text = clock(this.base + this.elapsed, { long: this.long });
+    if (text === this.clockText) return;
+    this.clockText = text;
+    const of = document.createElement("small");
+    of.textContent = ` of ${clock(this.base + this.duration, { long: this.long })}`;
+    byId("clock").replaceChildren(text, of);
+  }
+
+  _showDifference() {
+    const now = this.films.map((film, number) => {
+      const frame = frameAt(film, this.elapsed);
+      const pose = film.driven ? poseOf(film, film.driven.vehicle, frame) : null;
+      const driven = this.distances[number];
+      return { speed: pose?.speed ?? NaN, driven: driven ? driven[Math.floor(frame)] : NaN, passed: countUntil(this.passes[number], frame) };
+    });
+    const [a, b] = now;
+    const pieces = [
+      ["speed", Number.isFinite(b.speed - a.speed) ? `${signed((b.speed - a.speed) * KMH)} km/h` : "–"],
+      ["driven", Number.isFinite(b.driven - a.driven) ? `${signed(b.driven - a.driven)} m` : "–"],
+      ["overtakes so far", `${b.passed} to ${a.passed} (${signed(b.passed - a.passed)})`],
+    ];
+    const text = JSON.stringify(pieces);
+    if (text === this.differenceText) return;
+    this.differenceText = text;
+    const lead = document.createElement("span");
+    lead.textContent = "B compared with A:";
+    byId("difference").replaceChildren(
+      lead,
+      ...pieces.map(([what, value]) => {
+        const piece = document.createElement("span");
+        const strong = document.createElement("b");
+        strong.textContent = value;
+        piece.append(`${what} `, strong);
+        return piece;
+      }),
+    );
+  }
+
+  _showControls() {
+    byId("app").classList.toggle("playing", this.playing);
+    byId("play").setAttribute("aria-label", this.playing ? "Pause (Space)" : "Play (Space)");
+    for (const [id, on] of [["follow", this.options.follows], ["rays", this.options.rays], ["names", this.options.names], ["record", Boolean(this.recorder)]]) {
+      byId(id).setAttribute("aria-pressed", String(on));
+    }
+    byId("record").textContent = this.recorder ? "Stop" : "WebM";
+    byId("rate").value = String(this.rate);
+  }
+
+  _link(now = performance.now()) {
+    this.linked = now;
+    history.replaceState(null, "", `#t=${(this.base + this.elapsed).toFixed(1)}`);
+  }
+
+  _fileName(ending) {
+    const plain = this.head.title.normalize("NFKD").replace(/[^\w-]+/g, "-").replace(/^-+|-+$/g, "") || "replay";
+    return `${plain}-${(this.base + this.elapsed).toFixed(1)}s.${ending}`;
+  }
+
+  _composed() {
+    const captions = this.films.map((film, number) => {
+      const pose = poseOf(film, this.stages[number].target, frameAt(film, this.elapsed));
+      return [film.name, clock(this.base + this.elapsed, { long: this.long }), pose && kmh(pose.speed)].filter(Boolean).join("   ");
+    });
+    return compose(this.composed, this.stages, captions, this.options.palette);
+  }
+
+  _record() {
+    if (this.recorder) {
+      this.recorder.stop();
+      this.recorder = null;
+      return;
+    }
+    const name = this._fileName("webm");
+    this.recorder = recorderOf(this._composed(), (blob) => offer(blob, name));
+    if (!this.playing) this._toggle("playing");
+  }
+
+  _isDark() {
+    const { theme } = document.documentElement.dataset;
+    return theme ? theme === "dark" : matchMedia("(prefers-color-scheme: dark)").matches;
+  }
+
+  _readTheme() {
+    this.options.palette = this._isDark() ? PALETTES.dark : PALETTES.light;
+  }
+
+  _switchTheme() {
+    document.documentElement.dataset.theme = this._isDark() ? "light" : "dark";
+    this._readTheme();
+    this.curves.build();
+  }
+
+  _watch() {
+    matchMedia("(prefers-color-scheme: dark)").addEventListener("change", () => {
+      this._readTheme();
+      this.curves.build();
+      this.invalidate();
+    });
+    addEventListener("hashchange", () => {
+      const linked = linkedMoment(location.hash);
+      if (linked === null) return;
+      this.playing = false;
+      this.elapsed = this._within(linked - this.base);
+      this._showControls();
+      this.invalidate();
+    });
+    new ResizeObserver(() => {
+      this.curves.resize();
+      this._lay();
+      this.draw();
+    }).observe(byId("stages"));
+  }
+
+  /** What is on screen, for tests and the curious. */
+  state() {
+    return {
+      elapsed: this.elapsed,
+      clock: this.base + this.elapsed,
+      playing: this.playing,
+      rate: this.rate,
+      follows: this.options.follows,
+      rays: this.options.rays,
+      names: this.options.names,
+      hiddenKinds: [...this.hidden],
+      recording: Boolean(this.recorder),
+      firstFrameMs: this.firstFrameMs,
+      views: this.stages.map(({ camera, target, seen }) => ({ x: camera.x, y: camera.y, scale: camera.scale, target, drawn: seen.length })),
+    };
+  }
+}
+
+/** What the speeds' colours end at: a round number that nearly everybody stays below. */
+function topSpeed(films) {
+  let top = 0;
+  for (const film of films) {
+    const sorted = Int32Array.from({ length: Math.min(film.speed.length, 20_000) }, (_, k) => film.speed[Math.floor((k * film.speed.length) / Math.min(film.speed.length, 20_000))]).sort();
+    if (sorted.length) top = Math.max(top, sorted[Math.floor(0.99 * (sorted.length - 1))] * film.quanta.speed_mps);
+  }
+  return Math.max(Math.ceil((top * KMH) / 10) * 10, 30) / KMH;
+}
+
+function fillList(list, entries) {
+  for (const [name, value] of Object.entries(entries)) {
+    const [term, description] = [document.createElement("dt"), document.createElement("dd")];
+    term.textContent = name;
+    description.textContent = value;
+    list.append(term, description);
+  }
+}
+
+async function begin() {
+  try {
+    if (typeof DecompressionStream === "undefined") {
+      throw new Unfit("this browser cannot unpack it; any of 2023 or later will do");
+    }
+    const page = new Page(await unpack());
+    page.start();
+    window.replay = page;
+  } catch (error) {
+    byId("app").hidden = true;
+    byId("message").hidden = false;
+    byId("message").textContent = `The film cannot be shown: ${error instanceof Unfit ? error.message : "its data are damaged"}.`;
+    console.warn(error);
+  }
+}
+
+begin();

@@ -1,0 +1,295 @@
+"""One page about runs, evaluations, sweeps and studies: what was run, with which figures and pictures."""
+
+import base64
+import html
+import io
+import json
+import math
+from collections.abc import Iterator, Mapping, Sequence
+from pathlib import Path
+from string import Template
+from typing import TYPE_CHECKING, Any, NamedTuple
+
+import numpy as np
+import pandas as pd
+
+from rail_sumo import assets, config_file
+from rail_sumo.config import Config
+from rail_sumo.errors import InputError
+from rail_sumo.files import check_file, whole_file
+from rail_sumo.pictures import plot
+from rail_sumo.records import MetaAction
+from rail_sumo.run_directory import CLONE, CONFIG, PROGRESS
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+
+_PARTS = Path(__file__).with_name("report")
+
+WORLD = "world.toml"
+EPISODES, SUMMARY, DECISIONS = "episodes.parquet", "summary.parquet", "decisions.parquet"
+CELLS, TRAFFIC, DIFFERENCES, TABLE1 = "cells.parquet", "traffic.parquet", "differences.parquet", "table1.csv"
+KINDS = (CONFIG, EPISODES, CELLS, TRAFFIC)
+"""A folder is known by one of these."""
+
+POINTS = {
+    "speed_kmh": "speed, km/h",
+    "overtakes": "overtakes",
+    "lane_changes": "lane changes",
+    "refused_decisions": "refused decisions",
+    "hardest_braking_mps2": "hardest braking, m/s²",
+    "min_ttc_s": "smallest time to collision, s",
+}
+"""What is drawn of every episode."""
+FARTHEST_TTC_S = 60.0
+"""Times to collision beyond this are drawn here: nobody was near."""
+ACTIONS = [action.name.lower() for action in MetaAction]
+
+
+def write(folders: Sequence[Path], out: Path, *, overwrite: bool = False) -> None:
+    """Write one page about folders that `train`, `eval`, `expert train`, `sweep` or `reproduce` has written.
+
+    Args:
+        folders: in the order in which they are told of.
+        out: the page, .html. It holds its pictures and fetches nothing.
+        overwrite: whether `out` may exist.
+
+    Raises:
+        InputError: matplotlib is not installed; a folder that is none of these, or is damaged; a page that exists or
+            cannot be written.
+    """
+    plot.require_matplotlib()
+    check_file(out, overwrite=overwrite)
+    for folder in folders:
+        _require_known(folder)
+    sections = [(folder.name or str(folder), "\n".join(_about(folder))) for folder in folders]
+    settings = _settings(folders)
+    if settings:
+        sections.append(("Configuration", settings))
+    title = " and ".join(title for title, _ in sections[: len(folders)])
+    page = Template((_PARTS / "page.html").read_text(encoding="utf-8")).substitute(
+        title=html.escape(title),
+        contents=" ".join(f'<a href="#part{k}">{html.escape(name)}</a>' for k, (name, _) in enumerate(sections)),
+        sections="\n".join(
+            f'<section id="part{k}"><h2>{html.escape(name)}</h2>\n{body}</section>'
+            for k, (name, body) in enumerate(sections)
+        ),
+        made_by=f"rail-sumo {assets.own_version()}",
+        style=(_PARTS / "style.css").read_text(encoding="utf-8"),
+        script=(_PARTS / "sort.js").read_text(encoding="utf-8"),
+    )
+    with whole_file(out) as partial:
+        partial.write_text(page, encoding="utf-8")
+
+
+def _require_known(folder: Path) -> None:
+    if not folder.is_dir():
+        raise InputError(f"'{folder}' is no folder; name one that train, eval, sweep or reproduce has written")
+    if not any((folder / name).is_file() for name in KINDS):
+        raise InputError(
+            f"'{folder}' is no run, evaluation, sweep or study: it has none of {', '.join(KINDS)}; name a folder that "
+            f"train, eval, sweep or reproduce has written"
+        )
+
+
+def _about(folder: Path) -> Iterator[str]:
+    """Yield the parts of what is told of a folder, as HTML."""
+    yield from _origin(folder)
+    if (folder / SUMMARY).is_file() and (folder / EPISODES).is_file():
+        yield from _evaluation(_read(folder / EPISODES), _read(folder / SUMMARY))
+    if (folder / DECISIONS).is_file():
+        yield from _decisions(_read(folder / DECISIONS))
+    if (folder / PROGRESS).is_file() and (folder / CLONE).is_file() and len(_read(folder / PROGRESS)):
+        yield _picture(plot.learning_curves([folder]), "How training went, in training traffic.", "Training")
+    if (folder / CELLS).is_file():
+        yield from _study(folder)
+    if (folder / TRAFFIC).is_file():
+        yield from _sweep(folder)
+
+
+def _origin(folder: Path) -> Iterator[str]:
+    file = folder / assets.MANIFEST
+    if not file.is_file():
+        return
+    try:
+        about = json.loads(file.read_text(encoding="utf-8"))
+        told = {key: str(about[key]) for key in ("command", "seed", "rail-sumo", "libsumo") if key in about}
+    except (ValueError, TypeError) as error:
+        raise InputError(f"'{file}' is damaged: {error}") from None
+    yield _table(pd.DataFrame({"": list(told), "what was run": list(told.values())}), is_sortable=False)
+
+
+def _evaluation(episodes: pd.DataFrame, summary: pd.DataFrame) -> Iterator[str]:
+    policies, reference = list(summary["policy"].unique()), summary["reference"].iloc[0]
+    rows = []
+    for metric, of_metric in summary.groupby("metric", sort=False):
+        by_policy = of_metric.set_index("policy")
+        row: dict[str, Any] = {"metric": metric}
+        for policy in policies:
+            row[policy] = _with_interval(by_policy.loc[policy], "mean")
+            if policy != reference and np.isfinite(by_policy.loc[policy, "ratio"]):
+                row[f"{policy}, of {reference}'s"] = _with_interval(by_policy.loc[policy], "ratio")
+        rows.append(row)
+    most = int(summary["episodes"].max())
+    caption = f"Means over {most} episodes, with 95 % intervals; ratios are paired by episode."
+    yield "<h3>Evaluation</h3>" + _table(pd.DataFrame(rows).astype(object).fillna(""), caption)
+    yield _picture(_points(episodes, policies), "Every episode is a point; the line is the mean.", "Episodes")
+    yield "<details><summary>All episodes</summary>" + _table(episodes) + "</details>"
+
+
+class _Interval(NamedTuple):
+    """A figure with its 95 % interval, as a cell of a table."""
+
+    value: float
+    low: float
+    high: float
+
+
+def _with_interval(row: "pd.Series[Any]", what: str) -> _Interval:
+    low, high = ("low", "high") if what == "mean" else (f"{what}_low", f"{what}_high")
+    return _Interval(*(float(row[name]) for name in (what, low, high)))
+
+
+def _points(episodes: pd.DataFrame, policies: Sequence[str]) -> "Figure":
+    from matplotlib.figure import Figure
+
+    figure = Figure(figsize=(9.0, 1.2 + 0.28 * len(policies) * 2 + 2.0), layout="constrained")
+    spread = np.random.default_rng(0)  # points that lie on one another are moved apart, the same way each time
+    for axes, (metric, label) in zip(figure.subplots(2, 3, sharey=True).flat, POINTS.items(), strict=True):
+        for at, policy in enumerate(policies):
+            values = episodes.loc[episodes["policy"] == policy, metric].dropna().to_numpy(np.float64)
+            values = np.minimum(values, FARTHEST_TTC_S) if metric == "min_ttc_s" else values
+            axes.plot(
+                values, at + spread.uniform(-0.2, 0.2, len(values)), "o", markersize=3, alpha=0.6, color="#0072b2"
+            )
+            if len(values):
+                axes.plot([values.mean()] * 2, [at - 0.35, at + 0.35], color="#d55e00", linewidth=2)
+        axes.set_yticks(range(len(policies)), policies)
+        axes.set_ylim(len(policies) - 0.5, -0.5)
+        axes.set_xlabel(label)
+        axes.grid(alpha=0.3, axis="x")
+        axes.spines[["top", "right"]].set_visible(False)
+    return figure
+
+
+def _decisions(decisions: pd.DataFrame) -> Iterator[str]:
+    if decisions.empty:
+        return
+    shares = {
+        f"{policy}, {how}": taken[how].value_counts(normalize=True).reindex(ACTIONS, fill_value=0.0)
+        for policy, taken in decisions.groupby("policy", sort=False)
+        for how in ("asked", "carried_out")
+    }
+    table = pd.DataFrame(shares).T.reset_index(names="policy")
+    table[ACTIONS] = (100 * table[ACTIONS]).round(1)
+    yield "<h3>Decisions</h3>" + _table(
+        table, "Of 100 decisions, how many asked for each, and how many were carried out."
+    )
+    changes = decisions[decisions["carried_out"].isin(["left", "right"])]
+    if len(changes):
+        told = "Where lanes were changed: to the left upwards, to the right downwards."
+        yield _picture(_where(changes, decisions), told)
+
+
+def _where(changes: pd.DataFrame, decisions: pd.DataFrame) -> "Figure":
+    """Draw on how much of the way driven lane changes began, by kilometre and episode."""
+    from matplotlib.figure import Figure
+
+    policies = list(decisions["policy"].unique())
+    figure = Figure(figsize=(9.0, 0.6 + 1.3 * len(policies)), layout="constrained")
+    width_m = max(decisions["distance_m"].max() / 40, 1.0)
+    edges = np.arange(41) * width_m
+    for axes, policy in zip(figure.subplots(len(policies), sharex=True, squeeze=False).flat, policies, strict=True):
+        own = changes[changes["policy"] == policy]
+        n_episodes = decisions.loc[decisions["policy"] == policy, "episode"].nunique()
+        for side, sign, colour in (("left", 1, "#0072b2"), ("right", -1, "#d55e00")):
+            counts, _ = np.histogram(own.loc[own["carried_out"] == side, "distance_m"], edges)
+            heights = sign * counts / n_episodes / (width_m / 1000)
+            axes.bar(edges[:-1] / 1000, heights, width_m / 1000, align="edge", color=colour, label=side)
+        axes.axhline(0.0, color="0.4", linewidth=0.8)
+        axes.set_title(policy, loc="left", fontsize="medium")
+        axes.set_ylabel("per km")
+        axes.spines[["top", "right"]].set_visible(False)
+    figure.axes[-1].set_xlabel("driven, km")
+    return figure
+
+
+def _study(folder: Path) -> Iterator[str]:
+    if (folder / TABLE1).is_file():
+        yield "<h3>Table 1</h3>" + _table(_read(folder / TABLE1))
+    yield from _figures(folder, "figure_*.svg")
+    cells = _read(folder / CELLS)
+    by = [name for name in ("system", "trajectories", "seed") if name in cells]
+    means = cells.groupby(by, sort=False)[["speed_kmh", "overtakes", "lane_changes", "refused_decisions"]].mean()
+    caption = "The mean of each training's held-out episodes."
+    yield "<details><summary>All cells</summary>" + _table(means.round(2).reset_index(), caption) + "</details>"
+
+
+def _sweep(folder: Path) -> Iterator[str]:
+    differences = _read(folder / DIFFERENCES)
+    of_all = differences[differences["vehicles"] == "all"].drop(columns="vehicles")
+    caption = "Differences from the same runs without driven cars, of all vehicles, with 95 % intervals."
+    yield "<h3>Differences</h3>" + _table(of_all, caption)
+    yield from _figures(folder / "figures", "*.svg")
+    yield "<details><summary>Means of every arm</summary>" + _table(_read(folder / SUMMARY)) + "</details>"
+
+
+def _figures(folder: Path, pattern: str) -> Iterator[str]:
+    for file in sorted(folder.glob(pattern)):
+        yield _image(file.read_bytes(), file.stem.removeprefix("figure_").replace("_", " "))
+
+
+def _settings(folders: Sequence[Path]) -> str:
+    """Return a table of the keys in which configurations differ from the default, or from one another."""
+    found: dict[str, Mapping[str, Any]] = {}
+    for folder in folders:
+        file = next((folder / name for name in (CONFIG, WORLD) if (folder / name).is_file()), None)
+        if file:
+            found[str(folder)] = config_file.load(file).flat()
+    default = Config().flat()
+    keys = [key for key in default if any(config[key] != default[key] for config in found.values())]
+    if not found:
+        return ""
+    if not keys:
+        return "<p>All keys have their defaults.</p>"
+    rows = [
+        {"key": key, "default": default[key]} | {name: config[key] for name, config in found.items()} for key in keys
+    ]
+    return _table(pd.DataFrame(rows).astype(str), "Keys that differ from the default; all others have theirs.")
+
+
+def _read(file: Path) -> pd.DataFrame:
+    try:
+        return pd.read_csv(file) if file.suffix == ".csv" else pd.read_parquet(file)
+    except Exception as error:  # whatever pandas and pyarrow stumble over
+        raise InputError(f"'{file}' is damaged: {str(error).splitlines()[0]}") from None
+
+
+def _table(table: pd.DataFrame, caption: str = "", *, is_sortable: bool = True) -> str:
+    """Return a table as HTML; numbers with four digits, and sortable by their full value."""
+    heads = "".join(f'<th scope="col">{html.escape(str(name))}</th>' for name in table)
+    rows = "".join(f"<tr>{''.join(map(_cell, row))}</tr>\n" for row in table.itertuples(index=False, name=None))
+    below = f"<caption>{html.escape(caption)}</caption>" if caption else ""
+    kind = ' class="sortable"' if is_sortable else ""
+    return f'<div class="wide"><table{kind}>{below}<thead><tr>{heads}</tr></thead><tbody>\n{rows}</tbody></table></div>'
+
+
+def _cell(value: Any) -> str:
+    if isinstance(value, _Interval):
+        within = "" if math.isnan(value.low) else f"<small>{value.low:.4g} to {value.high:.4g}</small>"
+        return _cell(value.value).replace("</td>", f"{within}</td>")
+    if isinstance(value, float):
+        return "<td></td>" if math.isnan(value) else f'<td data-value="{value!r}">{value:.4g}</td>'
+    text = html.escape(str(value))
+    return f"<td>{text}</td>" if isinstance(value, int) else f'<td class="words">{text}</td>'
+
+
+def _picture(figure: "Figure", caption: str, title: str = "") -> str:
+    image = io.BytesIO()
+    figure.savefig(image, format="svg", metadata={"Date": None})
+    return (f"<h3>{title}</h3>" if title else "") + _image(image.getvalue(), caption)
+
+
+def _image(svg: bytes, caption: str) -> str:
+    data, told = base64.b64encode(svg).decode(), html.escape(caption)
+    return f'<figure><img alt="{told}" src="data:image/svg+xml;base64,{data}"><figcaption>{told}</figcaption></figure>'

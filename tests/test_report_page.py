@@ -1,0 +1,135 @@
+import html
+import json
+import re
+
+import numpy as np
+import pandas as pd
+import pytest
+
+from rail_sumo import assets, config_file, run
+from rail_sumo.errors import InputError
+from rail_sumo.pictures import report_page
+
+BRIEF = ["episode.duration_s=10.0", "traffic.vehicles=30"]
+
+
+@pytest.fixture(scope="module")
+def evaluation(tmp_path_factory):
+    """An evaluation's folder, one of its drivers with a name that is no innocent HTML."""
+    folder = tmp_path_factory.mktemp("evaluations") / "mine"
+    world = config_file.load(None, BRIEF)
+    who = {"expert": run.find_driver("expert", world), "<b>&random": "random"}
+    tables = run.evaluate(who, world, episodes=3, seed=0)
+    tables.write(folder)
+    run.describe(folder, world, "rail-sumo eval expert '<b>&random'", seed=0)
+    return folder, tables
+
+
+def rows_of(page, after):
+    """The cells of the first table after a heading, row by row: (what sorting goes by, text)."""
+    table = page[page.index(f"<h3>{after}</h3>") :].split("</table>")[0]
+    return [
+        [
+            (sortable or text, text)
+            for sortable, text in re.findall(r'<td(?: data-value="([^"]*)")?[^>]*>(.*?)</td>', row)
+        ]
+        for row in re.findall(r"<tr>(.*?)</tr>", table.split("<tbody>")[1], re.DOTALL)
+    ]
+
+
+def test_the_page_holds_every_mean_interval_and_ratio_of_the_summary(evaluation, tmp_path):
+    folder, tables = evaluation
+    report_page.write([folder], tmp_path / "page.html")
+    page = (tmp_path / "page.html").read_text()
+    told = {row[0][0]: row[1:] for row in rows_of(page, "Evaluation")}
+    for metric, by_policy in tables.summary.groupby("metric"):
+        by_policy = by_policy.set_index("policy")
+        mean, other, ratio = told[metric][0], told[metric][1], told[metric][2]
+        assert float(mean[0]) == by_policy.loc["expert", "mean"]
+        assert float(other[0]) == by_policy.loc["<b>&random", "mean"]
+        low, high = by_policy.loc["expert", ["low", "high"]]
+        assert (f"{low:.4g} to {high:.4g}" in mean[1]) == np.isfinite(low)
+        if np.isfinite(by_policy.loc["<b>&random", "ratio"]):
+            assert float(ratio[0]) == by_policy.loc["<b>&random", "ratio"]
+    assert html.escape("rail-sumo eval expert '<b>&random'") in page
+    assert "<b>" not in page.replace("<body>", "")
+
+
+def test_of_a_hundred_decisions_so_many_were_of_each_kind(evaluation, tmp_path):
+    folder, tables = evaluation
+    report_page.write([folder], tmp_path / "page.html")
+    rows = rows_of((tmp_path / "page.html").read_text(), "Decisions")
+    assert [row[0][0] for row in rows[:2]] == ["expert, asked", "expert, carried_out"]
+    for row in rows:
+        policy, how = html.unescape(row[0][0]).rsplit(", ", 1)
+        own = tables.decisions[tables.decisions["policy"] == policy]
+        for (share, _), action in zip(row[1:], ("keep", "accelerate", "decelerate", "left", "right"), strict=True):
+            assert float(share) == pytest.approx(100 * (own[how] == action).mean(), abs=0.051)
+
+
+def test_the_page_fetches_nothing_and_names_what_differs_from_the_default(evaluation, tmp_path):
+    folder, _ = evaluation
+    report_page.write([folder, assets.driver("road-rail")], tmp_path / "page.html")
+    page = (tmp_path / "page.html").read_text()
+    assert not re.findall(r'(?:src|href)="(?!data:|#)', page)
+    assert "://" not in page
+    keys = re.findall(r'<td class="words">(\w+\.\w+)</td>', page)
+    assert "episode.duration_s" in keys  # the evaluation's
+    assert "varied.networks" in keys  # the run's
+    assert "lidar.n_rays" not in keys
+    assert page.count("<img") == 2 * 1 + 1 + 1  # episodes of both, where lanes were changed, and the run's training
+    assert page.count("<section") == 3
+
+
+def test_a_sweep_and_a_study_show_their_tables_and_figures(tmp_path):
+    sweep, study = tmp_path / "sweep", tmp_path / "study"
+    (sweep / "figures").mkdir(parents=True)
+    study.mkdir()
+    svg = '<svg xmlns="http://www.w3.org/2000/svg"/>'
+    (sweep / "figures" / "flow_vehph.svg").write_text(svg)
+    (study / "figure_speed.svg").write_text(svg)
+    pd.DataFrame({"share": [0.5]}).to_parquet(sweep / "traffic.parquet")
+    pd.DataFrame({"share": [0.5], "mean": [12.5]}).to_parquet(sweep / "summary.parquet")
+    of = {"vehicles": ["all", "driven"], "measure": ["flow_vehph"] * 2, "difference": [3.25, 77.75]}
+    pd.DataFrame(of).to_parquet(sweep / "differences.parquet")
+    figures = {name: [1.0, 3.0] for name in ("speed_kmh", "overtakes", "lane_changes", "refused_decisions")}
+    pd.DataFrame({"system": ["rail-2"] * 2, "seed": [0, 0]} | figures).to_parquet(study / "cells.parquet")
+    pd.DataFrame({"system": ["rail-2"], "ratio": [0.99]}).to_csv(study / "table1.csv", index=False)
+    report_page.write([sweep, study], tmp_path / "page.html")
+    page = (tmp_path / "page.html").read_text()
+    assert [row[1][0] for row in rows_of(page, "Differences")] == ["3.25"]
+    assert "flow vehph" in page
+    assert page.count("<img") == 2
+    assert [row[1][0] for row in rows_of(page, "Table 1")] == ["0.99"]
+    assert 'data-value="2.0"' in page  # the training's mean
+
+
+def test_what_is_no_folder_of_ours_or_is_damaged_is_told_in_one_line(tmp_path, rail_sumo):
+    empty, damaged = tmp_path / "empty", tmp_path / "damaged"
+    empty.mkdir()
+    damaged.mkdir()
+    for name in ("episodes.parquet", "summary.parquet"):
+        (damaged / name).write_bytes(b"PAR1 and no more")
+    for words, says in {
+        "report nowhere": "'nowhere' is no folder; name one that train, eval, sweep or reproduce has written",
+        "report empty": "'empty' is no run, evaluation, sweep or study: it has none of config.toml, episodes.parquet",
+        "report damaged": "'damaged/episodes.parquet' is damaged",
+        "report damaged --out page.pdf": "a report is a page, FILE.html; got 'page.pdf'",
+    }.items():
+        code, out, err = rail_sumo(*words.split())
+        assert (code, out) == (2, "")
+        assert err.startswith(f"rail-sumo: {says}")
+        assert err.count("\n") == 1
+    (damaged / "manifest.json").write_text("{")
+    with pytest.raises(InputError, match=r"manifest.json' is damaged"):
+        report_page.write([damaged], tmp_path / "page.html")
+    assert not (tmp_path / "page.html").exists()
+
+
+def test_an_evaluation_keeps_what_made_it(rail_sumo, tmp_path):
+    words = ["eval", "keep", "--episodes", "1", "--seed", "5", "--set", "episode.duration_s=5.0", "--out", "my out"]
+    assert rail_sumo(*words)[0] == 0
+    about = json.loads((tmp_path / "my out" / "manifest.json").read_text())
+    assert about["command"] == "rail-sumo eval keep --episodes 1 --seed 5 --set episode.duration_s=5.0 --out 'my out'"
+    assert about["seed"] == 5
+    assert config_file.load(tmp_path / "my out" / "world.toml").episode.duration_s == 5.0
