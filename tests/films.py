@@ -10,8 +10,9 @@ from typing import get_args
 
 import numpy as np
 
+from rail_sumo import assets
 from rail_sumo.film import Decision, Driven, Film, Ground, Holding, Lane, Mark, MarkKind, StopLine, Vehicle
-from rail_sumo.pictures import page
+from rail_sumo.pictures import page, report_page
 from rail_sumo.records import MetaAction
 
 LANE_M, N_LANES, N_RAYS, RANGE_M = 3.5, 3, 24, 100.0
@@ -326,6 +327,7 @@ def main(folder):
         }
         print(f"{file.name}: {file.stat().st_size / 1e6:.2f} MB, {len(films[0].frame)} rows")
     (folder / "truth.json").write_text(json.dumps(truth), encoding="utf-8")
+    report_page.write([assets.driver("road-rail")], folder / "report.html", overwrite=True)
 
 
 if __name__ == "__main__":

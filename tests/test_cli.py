@@ -6,7 +6,8 @@ import numpy as np
 import pandas as pd
 import pytest
 
-from rail_sumo import assets, cli, config, config_file, doctor, expert, rollout, run
+from rail_sumo import assets, config, config_file, doctor, expert, rollout, run
+from rail_sumo.cli import progress
 from rail_sumo.errors import InputError
 from rail_sumo.highway.observation import feature_names
 from rail_sumo.policy import PolicyParameters, Shape, Whitening
@@ -332,8 +333,8 @@ def test_help_and_rollout_workers_import_nothing_slow():
 
 
 def test_where_nobody_watches_a_terminal_a_line_tells_how_far_work_is(capsys, monkeypatch):
-    monkeypatch.setattr(cli, "LINE_EVERY_S", 0.0)
-    with cli._bars() as bars:
+    monkeypatch.setattr(progress, "LINE_EVERY_S", 0.0)
+    with progress.progress_bars() as bars:
         bars.start("eval", 3)
         bars.advance({"speed_kmh": 71.26, "lane_changes": 12.0})
         bars.advance({})
@@ -341,8 +342,8 @@ def test_where_nobody_watches_a_terminal_a_line_tells_how_far_work_is(capsys, mo
         "rail-sumo: eval: 1 of 3 done, 71.3 km/h, 12.0 changes",
         "rail-sumo: eval: 2 of 3 done",
     ]
-    monkeypatch.setattr(cli, "LINE_EVERY_S", 60.0)
-    with cli._bars() as bars:
+    monkeypatch.setattr(progress, "LINE_EVERY_S", 60.0)
+    with progress.progress_bars() as bars:
         bars.start("eval", 3)
         bars.advance({})
     assert capsys.readouterr().err == ""

@@ -29,7 +29,7 @@ class Ride:
         """Note that a step has been driven."""
         self._driven += 1
         host = self.agent.host
-        if not host.is_lost and (self.is_idle or host.contact or host.must_look):
+        if not host.is_lost and (self.is_idle or host.contact or host.junctions.must_look):
             self._note_all()
 
     def leave(self) -> None:

@@ -2,22 +2,20 @@
 
 import math
 from collections import deque
-from collections.abc import Callable, Iterable, Mapping, Sequence
-from contextlib import suppress
-from dataclasses import dataclass
+from collections.abc import Callable, Iterable, Mapping
 
 import libsumo
 
 from rail_sumo import config
 from rail_sumo.errors import InputError, did_you_mean
-from rail_sumo.highway import acc, crossing, neighbours
+from rail_sumo.highway import acc, neighbours
 from rail_sumo.highway.acc import Leader
-from rail_sumo.highway.hard_braking import hard_brakings
+from rail_sumo.highway.cut_ins import CutIns
+from rail_sumo.highway.junctions import SUMO_SPEED_MODE, Junctions
 from rail_sumo.highway.names import HOST, OURS
-from rail_sumo.highway.neighbours import Neighbours, to_lane_end_m
-from rail_sumo.highway.network.edge import Edge
+from rail_sumo.highway.neighbours import Neighbours
 from rail_sumo.highway.network.road import Road
-from rail_sumo.highway.right_of_way import NOT_GREEN, SIGHT_M, GiveWay, Place, Signal
+from rail_sumo.highway.whereabouts import to_lane_end_m, way_of
 from rail_sumo.records import SECONDS_PER_STEP, SUMO_DECIDES, Command, Gaps, HostState, Scene
 
 HOST_TYPE = HOST
@@ -37,34 +35,17 @@ SUMO_TYPE_PREFIX = "DEFAULT_"
 UNLIMITED = 10.0
 """Speed factor with which SUMO does not hold the host to the road's limits."""
 
-SUMO_SPEED_MODE = 31
-"""SUMO's default speed mode."""
-IGNORE_SIGNALS = 15
-"""Speed mode: the same, but for signals."""
-
 AEB_TIME_GAP_S = 0.5
 """What emergency braking keeps to the vehicle ahead: less than adaptive cruise control does, which it is not to
 disturb. SUMO keeps clear of contacts as long as this is no shorter than a step."""
-GENTLE_MPS2, SLOW_MPS, LINE_NEAR_M = 3.0, 5.0, 10.0
-"""How hard SUMO may brake the host for who comes first, when it is that slow and that near to the line."""
+GENTLE_MPS2 = 3.0
+"""How hard SUMO may brake the host for who comes first, where it is slow and near the line."""
 EXPECTED_BRAKING_MPS2 = 4.5
 """The braking that other vehicles expect of the host."""
-WATCH_STEPS = 50
-"""How long the vehicle behind is watched after the host has moved in front of it: 5 s."""
 EDGES_PER_STEP = 10
 """Onto no more edges than these, junctions' insides included, does a vehicle come within a step."""
 SLACK_M = 100.0
 """Junctions are heeded from this much farther away than the host needs to stop comfortably from its highest speed."""
-
-
-@dataclass(slots=True)
-class _Watched:
-    """A vehicle that the host has moved in front of."""
-
-    name: str
-    speeds_mps: list[float]
-    until: int
-    """How many speeds of its own the host will have noted when the watch ends."""
 
 
 class Host:
@@ -98,16 +79,12 @@ class Host:
         self._edges = road.edge_of
         self._joints = road.joints
         self._next_lanes = road.next_lanes
-        self._has_signals = bool(libsumo.trafficlight.getIDList())
-        self._meets_others = self._has_signals or road.gives_way
-        self._junction_sight_m = road.sight_m
         self._standstill_gap_m = adas.standstill_gap_m
         self._sight_m = acc.sight_m(self.fastest_mps, adas)
         self._neighbours = Neighbours(name, road, sight_m=self._sight_m, standstill_gap_m=adas.standstill_gap_m)
-        self._heeds_m = acc.braking_distance_m(self.fastest_mps, adas.comfort_braking_mps2) + SLACK_M
-        self._drives_on = False  # past the next signal, though it is not green
-        self._shown: list[str | bool] = []  # when the host last looked
-        self._is_unsure = False
+        to_stop_m = acc.braking_distance_m(self.fastest_mps, adas.comfort_braking_mps2)
+        self.junctions = Junctions(name, road, adas, sees_m=to_stop_m + SLACK_M)
+        """What it meets at those ahead."""
         self._lateral_m = 0.0
         self._asks = self._is_gentle = False
         self._assertive = ""  # as it was before it asked
@@ -124,8 +101,7 @@ class Host:
         self.contact = False
         """Whether the host has struck or been struck."""
         self.min_ttc_s = math.inf
-        self._behind: list[_Watched] = []
-        self._watched_until = 0  # as in `_Watched`, of the last of them
+        self._cut_ins = CutIns()
         self._lane_id = ""  # that the host was on while SUMO's own driver might change it
         self.sumos_lane_changes = 0
         """How often SUMO has changed lanes, as its driver or while it asked to be let in."""
@@ -239,7 +215,7 @@ class Host:
         edge_id, _, index = lane_id.rpartition("_")
         edge, lane = self._edges.get(edge_id) or self._joints.get(edge_id), int(index)
         limit_mps = libsumo.lane.getMaxSpeed(lane_id)
-        within_junction, stops = self._places(speed_mps)
+        within_junction, stops = self.junctions.places(speed_mps)
         if edge is None or lane not in (lanes := edge.lanes):  # on a junction, or strayed
             return HostState(
                 speed_mps=speed_mps,
@@ -312,69 +288,16 @@ class Host:
 
     def _limits_beyond_this_lane(self) -> tuple[tuple[float, float], ...]:
         """Return the limits of the edge that comes next, and beyond it, with the metres from here to each."""
-        ahead, to_it_m = self._next_edge(), to_lane_end_m(self.name)
+        ahead, to_it_m = self.junctions.next_edge(), to_lane_end_m(self.name)
         if ahead is None:
             return ()
         beyond = ((to_it_m + ahead.length_m + metres, limit) for metres, limit in ahead.limits_ahead)
         return (to_it_m, ahead.limit_mps), *beyond
 
-    def _next_edge(self) -> Edge | None:
-        """Return the edge of the course after the one that it is on, or was on before the junction."""
-        way = way_of(self.name)
-        return self._edges.get(way[1]) if len(way) > 1 else None
-
     @property
     def n_signals_ahead(self) -> int:
         """How many traffic lights are on its way."""
         return len(libsumo.vehicle.getNextTLS(self.name))
-
-    def _signals(self) -> list[Signal]:
-        """Return the signals that the host may have to brake for by now, the nearest first."""
-        if not self._has_signals:
-            return []
-        now, next_switch = libsumo.simulation.getTime(), libsumo.trafficlight.getNextSwitch
-        ahead = libsumo.vehicle.getNextTLS(self.name)
-        return [Signal(m, state, next_switch(name) - now) for name, _, m, state in ahead if m < self._heeds_m]
-
-    def _give_ways(self) -> list[GiveWay]:
-        """Return the ways without priority that the host may have to brake for by now, the nearest first."""
-        if not self._meets_others:
-            return []
-        ahead_m, lane_id = to_lane_end_m(self.name), libsumo.vehicle.getLaneID(self.name)
-        found, entered = [], ""
-        if lane_id.startswith(":"):
-            for _, _, is_open, _, via, *_ in libsumo.lane.getLinks(lane_id):
-                if via:  # within the junction the host may have to wait once more, as when it turns left
-                    found.append(GiveWay(ahead_m, is_open, self._junction_sight_m.get(via, SIGHT_M), is_within=True))
-            if edge_after := self._next_edge():  # SUMO's list begins beyond it
-                ahead_m += edge_after.length_m
-        for lane, has_priority, is_open, _, via, state, _, inside_m in libsumo.vehicle.getNextLinks(self.name):
-            if ahead_m > self._heeds_m:
-                break
-            edge = libsumo.lane.getEdgeID(lane)
-            if edge == entered:  # listed once more, for another lane
-                continue
-            if not has_priority and state not in NOT_GREEN:
-                found.append(GiveWay(ahead_m, is_open, self._junction_sight_m.get(via, SIGHT_M)))
-            ahead_m += inside_m + libsumo.lane.getLength(lane)
-            entered = edge
-        return found
-
-    def _places(self, speed_mps: float) -> tuple[tuple[Place, ...], tuple[Place, ...]]:
-        """Return where right of way asks the host to be slow: limits that may be met late, and places that may not.
-
-        Before a way without priority SUMO has it slow where it sees others from, and brakes for that as late as it can.
-        """
-        if not self._meets_others:
-            return (), ()
-        adas, give_ways = self._adas, self._give_ways()
-        limits: list[Place] = []
-        stops: list[Place] = []
-        for way in give_ways:
-            (limits if way.is_within else stops).append(way.sight(braking_mps2=adas.comfort_braking_mps2))
-        meets: list[Signal | GiveWay] = [*self._signals(), *give_ways]
-        stops += [one.stop for one in meets if one.stops(speed_mps, braking_mps2=adas.emergency_braking_mps2)]
-        return tuple(limits), tuple(stops)
 
     def gaps(self, side: int) -> Gaps:
         """Return the gaps in the host's own lane (0) or the one to its left (+1) or right (-1)."""
@@ -395,19 +318,14 @@ class Host:
         """The speed that it was commanded, and what SUMO was told: less where it follows the vehicle ahead."""
         return self._set_mps, self._told_mps
 
-    @property
-    def waits_for_signal(self) -> bool:
-        """Whether a signal that it may have to brake for is not green."""
-        return any(not signal.is_green for signal in self._signals())
-
     # What it does, and what is recorded.
 
     def obey(self, command: Command) -> None:
         """Carry a command out in the next step and those after it."""
         vehicle = libsumo.vehicle
-        if self._meets_others:
-            self._heed_signals()
-            self._heed_lines()
+        if self.junctions.matter:
+            self.junctions.heed_signals(self.speeds_mps[-1])
+            self._be_gentle(self.junctions.is_slow_at_line(self.speeds_mps[-1]))
         self._set_mps = command.speed_mps
         if command.asks or self._asks:
             self._ask(command.asks)
@@ -415,7 +333,7 @@ class Host:
             vehicle.changeLane(self.name, vehicle.getLaneIndex(self.name) + command.cross, 0.0)
             followers = vehicle.getNeighbors(self.name, neighbours.modes(command.cross)[1])
             if followers:
-                self._watch(min(followers, key=lambda follower: follower[1])[0])
+                self._cut_ins.watch(min(followers, key=lambda follower: follower[1])[0], len(self.speeds_mps))
         if command.lateral_m != self._lateral_m:
             vehicle.setLateralLanePosition(self.name, command.lateral_m)
             self._lateral_m = command.lateral_m
@@ -452,59 +370,27 @@ class Host:
             for rear, rear_mps, front, front_mps in pairs
         )
 
-    def _heed_signals(self) -> None:
-        """Have SUMO drive past a signal for which it is too late to stop, and note what all of them show."""
-        signals, hardest, speed_mps = self._signals(), self._adas.emergency_braking_mps2, self.speeds_mps[-1]
-        drives_on = any(not one.is_green and not one.stops(speed_mps, braking_mps2=hardest) for one in signals[:1])
-        if drives_on != self._drives_on:
-            libsumo.vehicle.setSpeedMode(self.name, IGNORE_SIGNALS if drives_on else SUMO_SPEED_MODE)
-            self._drives_on = drives_on
-        self._shown = self._shows(signals)
-        self._is_unsure = drives_on or any(signal.is_yellow for signal in signals)
-
-    def _heed_lines(self) -> None:
-        """Have SUMO brake gently where the host may have to wait for others.
+    def _be_gentle(self, is_gentle: bool) -> None:
+        """Have SUMO brake gently for who comes first, or as hard as it may.
 
         SUMO finds that out a second after it has called the way open, and stops then as late and as hard as it may.
         """
-        is_slow = self.speeds_mps[-1] < SLOW_MPS
-        is_gentle = is_slow and any(way.ahead_m < LINE_NEAR_M for way in self._give_ways())
         if is_gentle != self._is_gentle:
             hardest = self._adas.emergency_braking_mps2
             self._set("Decel", min(GENTLE_MPS2, hardest) if is_gentle else hardest)
             self._is_gentle = is_gentle
-
-    @property
-    def must_look(self) -> bool:
-        """Whether the host must look at a junction ahead again before the present command ends.
-
-        True while a signal is yellow, while the host passes one that is not green, and when a signal or right of way
-        has changed.
-        """
-        return self._meets_others and (self._is_unsure or self._shows(self._signals()) != self._shown)
-
-    def _shows(self, signals: Sequence[Signal]) -> list[str | bool]:
-        """Return what signals on the host's way show, and which ways without priority are open."""
-        return [*(signal.state for signal in signals), *(give_way.is_open for give_way in self._give_ways())]
 
     def drive(self) -> None:
         """Tell SUMO the speed for the next step: the set speed, or what adaptive cruise control makes of it."""
         speed_mps, leader = self._set_mps, self._leader
         if leader is not None and not self._sumo_drives:
             speed_mps = min(speed_mps, acc.following_mps(self.speeds_mps[-1], leader, self._adas))
-        if self._meets_others and not self._sumo_drives and libsumo.vehicle.getLaneID(self.name).startswith(":"):
-            speed_mps = min(speed_mps, self._clear_of_crossing_mps())
+        is_driven = self.junctions.matter and not self._sumo_drives
+        if is_driven and libsumo.vehicle.getLaneID(self.name).startswith(":"):
+            speed_mps = min(speed_mps, self.junctions.clear_mps(self._look_around().boxes, self.speeds_mps[-1]))
         if speed_mps != self._told_mps:
             libsumo.vehicle.setSpeed(self.name, speed_mps)
             self._told_mps = speed_mps
-
-    def _clear_of_crossing_mps(self) -> float:
-        """Return how fast the host may go on within a junction, for those who are stuck across its path."""
-        free_m = crossing.free_m(self._look_around().boxes)
-        if free_m > _to_junction_end_m(self.name):  # beside the road that the host comes out on
-            return math.inf
-        hardest_mps = self.speeds_mps[-1] - self._adas.emergency_braking_mps2 * SECONDS_PER_STEP
-        return max(crossing.allowed_mps(free_m), hardest_mps, 0.0)
 
     def note(self) -> None:
         """Record the host's speed, its leader and its contacts after a step."""
@@ -519,8 +405,7 @@ class Host:
             self._note_contacts()
         if self._sumo_drives or self._asks:
             self._note_lane()
-        if len(self.speeds_mps) <= self._watched_until:
-            self._note_behind()
+        self._cut_ins.note(len(self.speeds_mps))
 
     def _look_ahead(self) -> Leader | None:
         """Return who is ahead, with how that vehicle has sped up or braked over the last half second."""
@@ -546,24 +431,6 @@ class Host:
             self.struck += collision.victim == self.name
         self.contact = bool(self.collisions or self.struck)
 
-    def _watch(self, name: str) -> None:
-        """Watch the vehicle that the host moves in front of now; one that is watched already, for longer."""
-        self._watched_until = len(self.speeds_mps) + WATCH_STEPS
-        for watched in self._behind:
-            if watched.name == name and watched.until >= len(self.speeds_mps):
-                watched.until = self._watched_until
-                return
-        self._behind.append(_Watched(name, [libsumo.vehicle.getSpeed(name)], self._watched_until))
-
-    def _note_behind(self) -> None:
-        """Record the speeds of the watched vehicles that are still on the road."""
-        for watched in self._behind:
-            if watched.until >= len(self.speeds_mps):
-                with suppress(libsumo.TraCIException):  # it has left
-                    speed_mps = libsumo.vehicle.getSpeed(watched.name)
-                    if speed_mps != libsumo.INVALID_DOUBLE_VALUE:  # as of one that is being teleported
-                        watched.speeds_mps.append(speed_mps)
-
     def _note_lane(self) -> None:
         """Notice when SUMO has changed lanes for the host, as its own driver or while the host asks to be let in."""
         lane_id = libsumo.vehicle.getLaneID(self.name)
@@ -571,7 +438,7 @@ class Host:
             self.sumos_lane_changes += 1
             follower = libsumo.vehicle.getFollower(self.name)
             if follower and follower[0]:
-                self._watch(follower[0])
+                self._cut_ins.watch(follower[0], len(self.speeds_mps))
         self._lane_id = lane_id
 
     def _is_beside(self, lane_id: str) -> bool:
@@ -586,18 +453,5 @@ class Host:
 
     @property
     def hard_brakings_behind(self) -> int:
-        """How often vehicles braked hard within `WATCH_STEPS` of the host's moving in front of them."""
-        return sum(hard_brakings(one.speeds_mps) for one in self._behind)
-
-
-def _to_junction_end_m(name: str) -> float:
-    """Return how far a vehicle that is within a junction has to the end of it."""
-    lane_id, metres = libsumo.vehicle.getLaneID(name), to_lane_end_m(name)
-    while via := next((link[4] for link in libsumo.lane.getLinks(lane_id)), ""):
-        lane_id, metres = via, metres + libsumo.lane.getLength(via)
-    return metres
-
-
-def way_of(name: str) -> Sequence[str]:
-    """Return the edges of a vehicle's route from the one on that it is on, or was on before the junction."""
-    return libsumo.vehicle.getRoute(name)[libsumo.vehicle.getRouteIndex(name) :]
+        """How often vehicles braked hard within 5 s of the host's moving in front of them."""
+        return self._cut_ins.hard_brakings

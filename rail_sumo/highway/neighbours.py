@@ -6,6 +6,7 @@ from collections.abc import Iterable, Iterator, Mapping, Sequence
 import libsumo
 
 from rail_sumo.highway.network.road import Road
+from rail_sumo.highway.whereabouts import to_lane_end_m
 from rail_sumo.records import Gaps
 
 OVER_JOINTS = 2
@@ -133,8 +134,3 @@ class Neighbours:
 def modes(side: int) -> tuple[int, int]:
     """Return SUMO's modes of `getNeighbors` on a side, for those ahead and for those behind."""
     return (2, 0) if side > 0 else (3, 1)
-
-
-def to_lane_end_m(name: str) -> float:
-    """Return how far a vehicle's front has to the end of its lane."""
-    return libsumo.lane.getLength(libsumo.vehicle.getLaneID(name)) - libsumo.vehicle.getLanePosition(name)

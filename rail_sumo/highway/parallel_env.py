@@ -270,10 +270,7 @@ class HighwayParallelEnv(ParallelEnv[str, Floats, int]):
             agent = ride.agent
             reward = agent.earned() if name in before else 0.0
             told[name] = Told(agent.observation, reward, False, False, agent.info(self._seed))
-        for (
-            name,
-            last,
-        ) in self._over.items():  # they are over since they became agents, and are told so at the next step
+        for name, last in self._over.items():  # over since they became agents; they are told so at the next step
             info = {"action_mask": np.array(KEEP_ALONE, np.int8)}
             told[name] = Told(last.observation, 0.0, False, False, info)
         self.agents = [name for name in self.possible_agents if name in self._live or name in self._over]

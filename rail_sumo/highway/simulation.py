@@ -16,10 +16,11 @@ import numpy as np
 from rail_sumo import config
 from rail_sumo.errors import InputError
 from rail_sumo.highway import placing, sumo_process
-from rail_sumo.highway.host import HOST_TYPE, Host, way_of
+from rail_sumo.highway.host import HOST_TYPE, Host
 from rail_sumo.highway.names import HOST, OURS
 from rail_sumo.highway.network.demand import Demand
 from rail_sumo.highway.network.road import Road
+from rail_sumo.highway.whereabouts import way_of
 from rail_sumo.records import SECONDS_PER_STEP, Command, Floats, Lane, Scene
 
 # Ids that no demand of a user's has; the types' are those of the two files below.
@@ -491,7 +492,7 @@ class Simulation:
         self.obey(self.host, command)
         for driven in range(1, command.steps + 1):
             self._step()
-            if self.host.contact or self.host.must_look:
+            if self.host.contact or self.host.junctions.must_look:
                 return driven
         return command.steps
 

@@ -591,3 +591,32 @@ test("a browser without DecompressionStream, or without JavaScript: one plain se
     assert.match(await page.locator("body").innerText(), /^This page draws a drive with JavaScript, which is switched off here\./);
   });
 });
+
+for (const [size, viewport] of Object.entries({ wide: WIDE, narrow: NARROW })) {
+  test(`a report's tables are sorted by a click on a heading, by the full value, and turned round by a second, ${size}`, async () => {
+    await withPage("report", { hash: "", viewport }, async (page) => {
+      const table = page.locator("details table").first();
+      await page.locator("summary").first().click();
+      const heading = table.locator("th", { hasText: "speed_kmh" });
+      const column = await heading.evaluate((cell) => cell.cellIndex);
+      const speeds = () =>
+        table.evaluate((element, k) => [...element.tBodies[0].rows].map((row) => Number(row.cells[k].dataset.value)), column);
+      const unsorted = await speeds();
+      assert.ok(unsorted.length > 100 && new Set(unsorted).size > 100);
+      const ordered = unsorted.toSorted((one, other) => one - other);
+      assert.notDeepEqual(unsorted, ordered);
+      await heading.locator("button").click();
+      assert.deepEqual(await speeds(), ordered);
+      assert.equal(await heading.getAttribute("aria-sort"), "ascending");
+      await page.keyboard.press("Enter"); // the heading has the focus
+      assert.deepEqual(await speeds(), ordered.toReversed());
+      const policies = table.locator("th", { hasText: "policy" });
+      await policies.locator("button").click();
+      assert.equal(await heading.getAttribute("aria-sort"), null);
+      const names = await table.evaluate((element) => [...element.tBodies[0].rows].map((row) => row.cells[0].textContent));
+      assert.deepEqual(names, names.toSorted((one, other) => one.localeCompare(other)));
+      const sideways = await page.evaluate(() => document.documentElement.scrollWidth - window.innerWidth);
+      assert.ok(sideways <= 0, "tables scroll within themselves, not the page");
+    });
+  });
+}

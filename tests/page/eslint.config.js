@@ -19,6 +19,11 @@ export default [
     rules,
   },
   {
+    files: ["rail_sumo/pictures/report/*.js"],
+    languageOptions: { ecmaVersion: 2023, sourceType: "script", globals: globals.browser },
+    rules: { ...rules, "no-implicit-globals": "off" },
+  },
+  {
     files: ["tests/page/*.js"],
     languageOptions: { ecmaVersion: 2023, sourceType: "module", globals: { ...globals.node, ...globals.browser } },
     rules,

@@ -1,5 +1,5 @@
 // A click on a column's heading sorts its table by it: numbers as numbers, words as words; a second click turns it round.
-const valueOf = (row, column) => {
+const valueIn = (row, column) => {
   const cell = row.cells[column];
   return cell.dataset.value ?? cell.textContent.trim();
 };
@@ -22,7 +22,7 @@ for (const table of document.querySelectorAll("table.sortable")) {
       headings.forEach((other) => other.removeAttribute("aria-sort"));
       heading.setAttribute("aria-sort", isUp ? "ascending" : "descending");
       const rows = [...table.tBodies[0].rows];
-      rows.sort((one, other) => compare(valueOf(one, column), valueOf(other, column)) * (isUp ? 1 : -1));
+      rows.sort((one, other) => compare(valueIn(one, column), valueIn(other, column)) * (isUp ? 1 : -1));
       table.tBodies[0].append(...rows);
     });
   });

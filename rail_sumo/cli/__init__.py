@@ -1,0 +1,40 @@
+"""The command line: parses, calls, prints."""
+
+# Rollout workers import this package again, and `--help` is to be quick: what is slow to import (torch, pandas, SUMO)
+# is imported by the command that needs it.
+import sys
+from importlib.metadata import version
+from typing import Annotated
+
+import typer
+
+from rail_sumo import assets
+from rail_sumo.cli import drive, learn, look, study  # noqa: F401  each hangs its commands on the tree
+from rail_sumo.cli.apps import app
+from rail_sumo.cli.options import overrides_of
+from rail_sumo.errors import InputError
+
+__all__ = ["app", "main", "overrides_of"]
+
+
+def main() -> None:
+    """Run the command line. A user's mistake is one line on stderr and exit code 2."""
+    try:
+        app()
+    except InputError as error:
+        print(f"rail-sumo: {error}", file=sys.stderr)
+        sys.exit(2)
+
+
+def _print_version(wanted: bool) -> None:
+    if wanted:
+        print(f"rail-sumo {assets.own_version()} with SUMO {version('libsumo')}")
+        raise typer.Exit
+
+
+@app.callback()
+def _options(
+    version: Annotated[
+        bool, typer.Option("--version", callback=_print_version, is_eager=True, help="Print the versions and exit.")
+    ] = False,
+) -> None: ...

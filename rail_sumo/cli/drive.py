@@ -1,0 +1,156 @@
+"""The commands that drive: eval and replay."""
+
+import math
+import shlex
+import sys
+from functools import partial
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+import typer
+
+from rail_sumo import files
+from rail_sumo.cli.apps import app
+from rail_sumo.cli.options import (
+    POLICY,
+    Mode,
+    NetworkFile,
+    Overrides,
+    Overwrite,
+    Routes,
+    Seed,
+    Workers,
+    overrides_of,
+    workers_of,
+)
+from rail_sumo.cli.progress import progress_bars, show
+from rail_sumo.errors import InputError
+
+if TYPE_CHECKING:
+    from rail_sumo.run import Tables
+
+FCD, REPLAYS = "fcd", "replays"
+"""The folders of the floating-car data, and of pages to watch, beside the tables."""
+
+
+@app.command("eval", rich_help_panel="Drive")
+def evaluate(
+    policies: Annotated[list[str], typer.Argument(metavar="POLICY...", help=POLICY)],
+    network: NetworkFile = None,
+    routes: Routes = None,
+    overrides: Overrides = None,
+    episodes: Annotated[int, typer.Option(help="Episodes per policy, on the same traffic for all.")] = 16,
+    seed: Seed = 0,
+    workers: Workers = "",
+    out: Annotated[Path | None, typer.Option(help="Folder for the tables, as CSV and Parquet.")] = None,
+    overwrite: Overwrite = False,
+    fcd: Annotated[bool, typer.Option("--fcd", help="Also SUMO's floating-car data of every episode.")] = False,
+    replays: Annotated[
+        int, typer.Option("--replay", min=0, metavar="N", help="Also the N most telling episodes, as pages to watch.")
+    ] = 0,
+    reference: Annotated[
+        str | None, typer.Option(metavar="POLICY", help="The policy that ratios refer to.", show_default="expert")
+    ] = None,
+    mode: Mode = "default",
+) -> None:
+    """Drive policies through the same held-out traffic and compare them.
+
+    The world is that of the first run directory among the policies, or the default, changed by the options.
+    """
+    from rail_sumo import replay, run
+
+    if out:
+        files.check_folder(out, overwrite=overwrite, instead=", or replace its tables with --overwrite")
+        for folder, option, is_asked in ((FCD, "--fcd", fcd), (REPLAYS, "--replay", replays)):
+            if (out / folder).exists() and not is_asked:
+                raise InputError(
+                    f"'{out / folder}' is of other drives than these; replace it by {option}, or choose another --out"
+                )
+    elif fcd or replays:
+        raise InputError(f"{'--fcd' if fcd else '--replay'} writes into the folder of --out; name one")
+    if reference and reference not in policies:
+        raise InputError(f"--reference {reference} is not among the policies: {', '.join(policies)}; name it there too")
+    n_workers = workers_of(workers)
+    world = run.world(policies, overrides_of(network, routes, overrides))
+    who = {policy: run.find_driver(policy, world, mode) for policy in policies}
+
+    def keep(tables: "Tables", whole: Path, n_replays: int) -> None:
+        tables.save(whole)
+        run.describe(whole, world, shlex.join(["rail-sumo", *sys.argv[1:]]), seed=seed)
+        if n_replays:
+            replay.write_most_telling(tables.episodes, who, world, whole / REPLAYS, seed=seed, number=n_replays)
+
+    try:
+        with progress_bars() as bars:
+            drive = partial(
+                run.evaluate,
+                who,
+                world,
+                episodes=episodes,
+                seed=seed,
+                workers=n_workers,
+                observer=bars,
+                reference=reference or "expert",
+            )
+            if out is None:
+                tables = drive()
+            elif fcd:
+                with files.whole_folder(out, overwrite=overwrite) as whole:
+                    tables = drive(fcd=whole / FCD)
+                    keep(tables, whole, replays)
+            else:
+                tables = drive()
+                with files.whole_folder(out, overwrite=overwrite) as whole:
+                    keep(tables, whole, replays)
+    except run.Interrupted as stop:
+        if out:
+            with files.whole_folder(out, overwrite=overwrite) as whole:
+                keep(stop.tables, whole, 0)
+        show(stop.tables, out)
+        print(f"rail-sumo: interrupted after {len(stop.tables.episodes)} of {stop.episodes} episodes", file=sys.stderr)
+        raise typer.Exit(130) from None
+    show(tables, out)
+
+
+@app.command(rich_help_panel="Drive")
+def replay(
+    what: Annotated[
+        list[str],
+        typer.Argument(metavar="POLICY...|FCD", help="One policy, two side by side, or floating-car data of SUMO's."),
+    ],
+    network: NetworkFile = None,
+    routes: Routes = None,
+    overrides: Overrides = None,
+    seed: Seed = 0,
+    episode: Annotated[int, typer.Option(min=0, help="Its number in an evaluation with this seed.")] = 0,
+    mode: Mode = "default",
+    begin: Annotated[float | None, typer.Option(metavar="SECONDS", help="Of FCD: what is earlier is left out.")] = None,
+    end: Annotated[float | None, typer.Option(metavar="SECONDS", help="Of FCD: what is later is left out.")] = None,
+    out: Annotated[Path, typer.Option(metavar="FILE", help="The page.")] = Path("replay.html"),
+    overwrite: Overwrite = False,
+) -> None:
+    """Watch an episode of an evaluation, or any SUMO run, in a browser: one file, which needs nothing else."""
+    from rail_sumo import replay, run
+
+    if out.suffix != ".html":
+        raise InputError(f"a replay is a page, FILE.html; got '{out}'")
+    if len(what) == 1 and Path(what[0]).is_file():
+        if network is None:
+            raise InputError("floating-car data do not hold the road; name their network by --network")
+        if routes or overrides:
+            raise InputError("floating-car data are shown as they are; leave out --routes and --set")
+        replay.write_fcd(
+            Path(what[0]),
+            network,
+            out,
+            begin_s=-math.inf if begin is None else begin,
+            end_s=math.inf if end is None else end,
+            overwrite=overwrite,
+        )
+    else:
+        if begin is not None or end is not None:
+            raise InputError("--begin and --end cut floating-car data; of an episode all is shown")
+        world = run.world(what, overrides_of(network, routes, overrides))
+        who = {policy: run.find_driver(policy, world, mode) for policy in what}
+        replay.write(who, world, out, seed=seed, episode=episode, overwrite=overwrite)
+    print(f"replay in {out}; open it in a browser")

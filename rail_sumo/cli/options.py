@@ -1,0 +1,64 @@
+"""Options that several commands have, and what they say of the world."""
+
+import json
+import os
+import sys
+from pathlib import Path
+from typing import Annotated, Any, Literal
+
+import typer
+
+from rail_sumo.errors import InputError
+from rail_sumo.highway.network.sumo_xml import is_configuration
+
+ConfigFile = Annotated[Path | None, typer.Argument(metavar="CONFIG", help="A .toml. Without one, all defaults.")]
+Overrides = Annotated[
+    list[str] | None, typer.Option("--set", metavar="SECTION.KEY=VALUE", help="Change one key; repeatable.")
+]
+NETWORK = "A .net.xml, a .sumocfg with its demand, or a shipped network's name."
+NetworkFile = Annotated[str | None, typer.Option(metavar="FILE", help=NETWORK)]
+Routes = Annotated[list[str] | None, typer.Option(metavar="FILE", help="Your own demand; repeatable.")]
+POLICY = "A run, an expert's folder, or expert, rail, road-expert, road-rail, rule, sumo, sumo:TYPE, keep or random."
+SEED = "Everything random follows from it."
+Seed = Annotated[int, typer.Option(min=0, help=SEED)]
+_WORKERS, _CORES = "Processes that drive.", "as many as cores"
+Workers = Annotated[str, typer.Option(metavar="N|ray", help=_WORKERS, show_default=_CORES)]
+LocalWorkers = Annotated[str, typer.Option(metavar="N", help=_WORKERS, show_default=_CORES)]
+Mode = Annotated[
+    Literal["default", "argmax", "sampled"], typer.Option(help="How learned policies act; by default as trained.")
+]
+Overwrite = Annotated[bool, typer.Option("--overwrite", help="Replace what is there.")]
+
+
+def overrides_of(network: str | None, routes: list[str] | None, overrides: list[str] | None) -> list[str]:
+    """Return the options that choose a world as overrides of the configuration."""
+    world: dict[str, Any] = {}
+    if network and is_configuration(Path(network)):
+        from rail_sumo.highway.network import sumocfg  # SUMO takes half a second to import
+
+        world, left_out = sumocfg.read(Path(network))
+        if left_out:
+            print(f"rail-sumo: sets these options of '{network}' itself: {', '.join(left_out)}", file=sys.stderr)
+    elif network:
+        world = {"network.file": network}
+    if routes:
+        world["traffic.routes"] = routes
+    if world:
+        world["varied.networks"] = []  # it is this one
+    # Values in JSON are values in TOML, but for escapes beyond 16 bits.
+    return [*(f"{key}={json.dumps(value, ensure_ascii=False)}" for key, value in world.items()), *(overrides or ())]
+
+
+def workers_of(text: str) -> int | Literal["ray"]:
+    """Return how many processes drive, as `--workers` says.
+
+    Raises:
+        InputError: it is neither a number from 1 up nor ray.
+    """
+    if text == "ray":
+        return "ray"
+    if not text:
+        return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
+    if not text.isdecimal() or int(text) < 1:
+        raise InputError(f"--workers takes a number of processes from 1 up, or ray; got '{text}'")
+    return int(text)

@@ -1,0 +1,78 @@
+"""What a terminal shows of work that goes on, and of tables."""
+
+import sys
+import time
+from collections.abc import Iterator, Mapping
+from contextlib import contextmanager, suppress
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from rich.console import Console
+from rich.markup import escape
+from rich.progress import BarColumn, MofNCompleteColumn, Progress, TaskID, TextColumn, TimeRemainingColumn
+
+if TYPE_CHECKING:
+    from rail_sumo.run import Tables
+
+# What a bar tells of the part just done, where that is known. With all of it the bar fits into 80 columns.
+_FIGURES = (
+    "reward {mean_return:+.2f}",
+    "judge {judge_expert_mean:.2f}/{judge_learner_mean:.2f}",
+    "{speed_kmh:.1f} km/h",
+    "{lane_changes:.1f} changes",
+)
+
+
+LINE_EVERY_S = 60.0
+"""Where nobody watches a terminal, a line tells so often how far work is."""
+
+
+class _Bars:
+    """A `run.Observer` that draws a bar for each piece of work; where there is no terminal, a line now and then."""
+
+    def __init__(self, progress: Progress) -> None:
+        self._progress = progress
+        self._task = TaskID(0)
+        self._told_at = time.monotonic()
+
+    def start(self, work: str, total: int, done: int = 0) -> None:
+        self._task = self._progress.add_task(work, total=total, completed=done, figures="")
+
+    def advance(self, figures: Mapping[str, float]) -> None:
+        told = []
+        for form in _FIGURES:
+            with suppress(KeyError):
+                told.append(form.format_map(figures))
+        self._progress.update(self._task, advance=1, figures=" ".join(told))
+        if self._progress.disable and time.monotonic() - self._told_at >= LINE_EVERY_S:
+            self._told_at = time.monotonic()
+            task = self._progress.tasks[self._task]
+            self.note(", ".join([f"{task.description}: {task.completed:.0f} of {task.total:.0f} done", *told]))
+
+    def note(self, text: str) -> None:
+        self._progress.console.print(f"rail-sumo: {text}", soft_wrap=True, markup=False, highlight=False)
+
+
+@contextmanager
+def progress_bars() -> Iterator[_Bars]:
+    """Give an observer of work, see `run.Observer`, which shows it until it is over."""
+    columns = (
+        TextColumn("{task.description}"),
+        BarColumn(bar_width=8),
+        MofNCompleteColumn(),
+        TimeRemainingColumn(),
+        TextColumn("{task.fields[figures]}"),
+    )
+    console = Console(stderr=True)
+    with Progress(*columns, console=console, disable=not console.is_terminal) as progress:
+        yield _Bars(progress)
+
+
+def show(tables: "Tables", out: Path | None) -> None:
+    """Print an evaluation's table, and where the whole of it is."""
+    from rail_sumo.tables import report
+
+    console = Console() if sys.stdout.isatty() else Console(width=100)
+    console.print(report.table(tables.summary, width=console.width))
+    if out:
+        console.print(f"tables in {escape(str(out))}", soft_wrap=True)

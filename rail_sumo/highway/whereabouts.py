@@ -1,0 +1,23 @@
+"""Where a vehicle is on its way, as SUMO has it."""
+
+from collections.abc import Sequence
+
+import libsumo
+
+
+def way_of(name: str) -> Sequence[str]:
+    """Return the edges of a vehicle's route from the one on that it is on, or was on before the junction."""
+    return libsumo.vehicle.getRoute(name)[libsumo.vehicle.getRouteIndex(name) :]
+
+
+def to_lane_end_m(name: str) -> float:
+    """Return how far a vehicle's front has to the end of its lane."""
+    return libsumo.lane.getLength(libsumo.vehicle.getLaneID(name)) - libsumo.vehicle.getLanePosition(name)
+
+
+def to_junction_end_m(name: str) -> float:
+    """Return how far a vehicle that is within a junction has to the end of it."""
+    lane_id, metres = libsumo.vehicle.getLaneID(name), to_lane_end_m(name)
+    while via := next((link[4] for link in libsumo.lane.getLinks(lane_id)), ""):
+        lane_id, metres = via, metres + libsumo.lane.getLength(via)
+    return metres
