@@ -1,5 +1,12 @@
-// The pictures of the replay page in docs/figures, from pages in a folder: see docs/watch.md.
-// PAGES=build/shots node docs/screenshots.mjs
+// The pictures of the replay page in docs/figures, of pages that these commands make in a new folder:
+//
+//   rail-sumo replay rail --seed 1 --out build/shots/highway.html
+//   rail-sumo replay road-rail --network onramp --routes onramp --out build/shots/onramp.html
+//   rail-sumo replay road-rail rule --network arterial --routes arterial --out build/shots/arterial.html
+//   sumo -n networks/arterial.net.xml -r routes/arterial.rou.xml -e 600 --fcd-output build/shots/fcd.parquet
+//   rail-sumo replay build/shots/fcd.parquet --network arterial --out build/shots/town.html
+//
+// PAGES=build/shots node docs/screenshots.mjs, after make page-tests, which installs what drives the browser.
 import { fileURLToPath } from "node:url";
 import { join } from "node:path";
 import { pathToFileURL } from "node:url";
@@ -11,6 +18,7 @@ const WIDE = { width: 1280, height: 800 };
 const NARROW = { width: 390, height: 844 };
 // What is shown, when, and how: the keys that are pressed before.
 const SHOTS = [
+  { name: "replay_highway", page: "highway", at: 120, viewport: WIDE },
   { name: "replay_onramp", page: "onramp", at: 445, viewport: WIDE },
   { name: "replay_dark", page: "highway", at: 120, viewport: WIDE, colorScheme: "dark" },
   { name: "replay_two", page: "arterial", at: 533, viewport: WIDE },
