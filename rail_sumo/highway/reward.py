@@ -78,4 +78,4 @@ def longitudinal_reward(speed_mps: Floats, limit_mps: Floats, adas: Adas) -> flo
 
 def lateral_reward(lane_changing: NDArray[np.bool_]) -> float:
     """Charge every step in which a lane change is under way, aborted ones included."""
-    return LANE_CHANGING * int(lane_changing.sum())
+    return LANE_CHANGING * int(lane_changing.sum()) + 0.0  # not -0.0
