@@ -130,6 +130,8 @@ class Driven:
     """(n_frames,): indices into the members of `Holding`."""
     decisions: tuple[Decision, ...]
     marks: tuple[Mark, ...]
+    end_reason: str = ""
+    """Why its episode ended after the last frame, by `records.EndReason`."""
 
 
 @dataclass(frozen=True)

@@ -201,4 +201,5 @@ class Camera:
             holding=np.array(self._holding, dtype=np.int8),
             decisions=tuple(decisions),
             marks=tuple(sorted([*self._marks, *hard], key=lambda mark: mark.frame)),
+            end_reason=trajectory.end_reason or "",
         )
