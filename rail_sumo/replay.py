@@ -1,7 +1,7 @@
 """Watch: episodes driven once more with a camera, or any SUMO run's floating-car data, as a page to open."""
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from itertools import chain, zip_longest
 from pathlib import Path
 from urllib.parse import quote
@@ -9,7 +9,7 @@ from urllib.parse import quote
 import numpy as np
 import pandas as pd
 
-from rail_sumo import assets, drivers, rollout, training
+from rail_sumo import assets, rollout, training
 from rail_sumo.config import Config
 from rail_sumo.errors import InputError
 from rail_sumo.files import check_file
@@ -19,6 +19,7 @@ from rail_sumo.records import Trajectory
 from rail_sumo.rollout import EVALUATION, Task, Who, traffic_seed
 from rail_sumo.run_directory import RunDirectory
 
+NO_JUDGES: Mapping[str, RunDirectory] = {}
 SIDE_BY_SIDE = 2
 """How many drivers a page shows at most."""
 
@@ -30,6 +31,7 @@ def write(
     *,
     seed: int,
     episode: int = 0,
+    judges: Mapping[str, RunDirectory] = NO_JUDGES,
     overwrite: bool = False,
 ) -> list[Trajectory]:
     """Drive an episode of an evaluation with a camera, and write a page that shows it.
@@ -40,6 +42,7 @@ def write(
         out: the page, .html.
         seed: of the evaluation; see `run.evaluate`.
         episode: its number there.
+        judges: by a policy's name, the run whose judge scores its decisions; see `run.judges_of`.
         overwrite: whether `out` may exist.
 
     Returns:
@@ -55,7 +58,7 @@ def write(
     shots = [rollout.film(Task(who, world, traffic)) for who in policies.values()]
     below = ground.near(shots[0][0].network, *np.concatenate([camera.places for camera, _ in shots], axis=1))
     films = [
-        camera.film(name, trajectory, below, _judged(name, trajectory))
+        camera.film(name, trajectory, below, training.verdicts(judges[name], trajectory) if name in judges else ())
         for name, (camera, trajectory) in zip(policies, shots, strict=True)
     ]
     about = {
@@ -100,14 +103,6 @@ def write_fcd(
     page.write(below, [film], out, title=f"{file.name} on {below.name}", about=about, overwrite=overwrite)
 
 
-def _judged(policy: str, trajectory: Trajectory) -> Sequence[float]:
-    """Return the judge's score of each decision, of a policy that was learned beside a judge."""
-    if drivers.is_name(policy) and policy not in drivers.SHIPPED:
-        return ()
-    folder = assets.driver(policy) if policy in drivers.SHIPPED else Path(policy)
-    return () if assets.is_expert(folder) else training.verdicts(RunDirectory(folder), trajectory)
-
-
 def most_telling(episodes: pd.DataFrame, number: int) -> list[tuple[str, int]]:
     """Return the episodes of an evaluation that are most worth watching, each as policy and number.
 
@@ -130,15 +125,21 @@ def most_telling(episodes: pd.DataFrame, number: int) -> list[tuple[str, int]]:
 
 
 def write_most_telling(
-    episodes: pd.DataFrame, policies: Mapping[str, Who], world: Config, folder: Path, *, seed: int, number: int
+    episodes: pd.DataFrame,
+    policies: Mapping[str, Who],
+    judges: Mapping[str, RunDirectory],
+    world: Config,
+    folder: Path,
+    *,
+    seed: int,
+    number: int,
 ) -> list[Path]:
-    """Write pages that show the most telling episodes of an evaluation into a new folder; returns their files.
+    """Write pages that show the most telling episodes of an evaluation into a folder; returns their files.
 
     Arguments as in `write` and `most_telling`.
     """
-    folder.mkdir()
     pages = []
     for policy, episode in most_telling(episodes, number):
         pages.append(folder / f"{quote(policy, safe='')}-{episode}.html")
-        write({policy: policies[policy]}, world, pages[-1], seed=seed, episode=episode)
+        write({policy: policies[policy]}, world, pages[-1], seed=seed, episode=episode, judges=judges)
     return pages

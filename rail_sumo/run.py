@@ -45,13 +45,6 @@ from rail_sumo.tables import report
 PART = "part.parquet"
 """The file of one episode's floating-car data, in a folder of its own."""
 
-DECISIONS = "decisions.parquet"
-"""The file of the `decisions` table, which is long and kept as Parquet alone."""
-
-
-WORLD = "world.toml"
-"""The configuration that an evaluation's folder was made with."""
-
 
 class Tables(NamedTuple):
     """What an evaluation has measured."""
@@ -68,7 +61,11 @@ class Tables(NamedTuple):
     def save(self, folder: Path) -> None:
         """Write them into a folder that is not whole yet."""
         report.save(folder, episodes=self.episodes, summary=self.summary)
-        self.decisions.to_parquet(folder / DECISIONS, index=False)
+        self.decisions.to_parquet(folder / report.DECISIONS, index=False)  # it is long: not as CSV too
+
+
+MODES = ("default", ARGMAX, SAMPLED)
+"""How a learned policy may act; by default as it was trained."""
 
 
 class Interrupted(KeyboardInterrupt):
@@ -121,6 +118,13 @@ def find_driver(policy: str, world: Config, mode: str = "default") -> Who:
     return learned if mode == "default" else learned.acting(mode)
 
 
+def judges_of(policies: Iterable[str]) -> dict[str, RunDirectory]:
+    """Return the runs of those policies that were learned, which may have a judge; see `training.verdicts`."""
+    learned = [policy for policy in policies if policy in drivers.SHIPPED or not drivers.is_name(policy)]
+    folders = {policy: assets.driver(policy) if policy in drivers.SHIPPED else Path(policy) for policy in learned}
+    return {policy: RunDirectory(folder) for policy, folder in folders.items() if not assets.is_expert(folder)}
+
+
 def load_driver(policy: str, *, mode: str = "default", seed: int = 0) -> drivers.Network:
     """Return a learned driver, to drive wherever observations come from.
 
@@ -135,11 +139,14 @@ def load_driver(policy: str, *, mode: str = "default", seed: int = 0) -> drivers
     Raises:
         InputError: no such driver, or one that decides by more than an observation, such as `rule`.
     """
-    who = find_driver(policy, Config(), mode)
-    driver = driver_of(who, Config(), seed)
+    if mode not in MODES:
+        raise InputError(f"mode must be one of {', '.join(MODES)}; got '{mode}'")
+    driver = driver_of(find_driver(policy, Config(), mode), Config(), seed)
     if not isinstance(driver, drivers.Network):
         learned = ("expert", *drivers.SHIPPED)
-        raise InputError(f"'{policy}' decides by more than an observation; take {', '.join(learned)}, or a folder")
+        raise InputError(f"'{policy}' is not learned; take {', '.join(learned)}, or a folder")
+    if isinstance(driver, drivers.Expert) and mode == SAMPLED:
+        raise InputError(f"'{policy}' is an expert, which always takes its most probable meta-action; leave out mode")
     return driver
 
 
@@ -353,9 +360,9 @@ def describe(folder: Path, world: Config, command: str, *, seed: int) -> None:
         command: what was typed.
         seed: of the traffic.
     """
-    (folder / WORLD).write_text(dumps(world), encoding="utf-8")
+    (folder / report.WORLD).write_text(dumps(world), encoding="utf-8")
     about = {"command": command, "seed": seed, **_versions()}
-    (folder / assets.MANIFEST).write_text(json.dumps(about, indent=2) + "\n", encoding="utf-8")
+    (folder / report.ORIGIN).write_text(json.dumps(about, indent=2) + "\n", encoding="utf-8")
 
 
 def _versions() -> dict[str, str]:

@@ -2,6 +2,7 @@ import itertools
 import math
 from collections import Counter
 from functools import partial
+from pathlib import Path
 
 import numpy as np
 import pandas as pd
@@ -11,6 +12,7 @@ from driving import UNSEEN, assert_same, world
 from rail_sumo import assets, drivers
 from rail_sumo.highway.camera import HOLDINGS, Camera
 from rail_sumo.highway.env import HighwayEnv
+from rail_sumo.highway.hard_braking import hard_brakings
 from rail_sumo.highway.network import ground
 from rail_sumo.highway.simulation import floating_car_data
 from rail_sumo.records import MetaAction
@@ -40,7 +42,7 @@ def filmed(config, who, seed=UNSEEN, outputs=()):
     trajectory = env.trajectory()
     env.close()
     below = ground.near(config.network.file, *camera.places)
-    return camera.film(who, trajectory, below), trajectory, below
+    return camera.film(str(who), trajectory, below), trajectory, below
 
 
 def unfilmed(config, who, seed=UNSEEN):
@@ -70,7 +72,9 @@ def test_what_is_filmed_is_driven_as_without_a_camera_and_the_film_is_of_it(netw
     changes = trajectory.lane_changes + trajectory.aborted_lane_changes
     assert changes <= marks["lane change"] + marks["lane end"] <= changes + 1  # one may be under way at the end
     assert marks["refused"] == trajectory.refused_decisions
-    assert passed(driven, "overtake") <= trajectory.overtakes  # the first look is before the film
+    assert passed(driven, "overtake") == trajectory.overtakes
+    assert passed(driven, "overtaken") == trajectory.overtaken
+    assert marks["hard braking"] == hard_brakings(trajectory.speed_mps)
     if who == "sumo":
         assert not driven.decisions
         assert {HOLDINGS[k] for k in driven.holding} == {"SUMO"}
@@ -150,16 +154,81 @@ def test_signals_are_filmed_and_each_has_its_part_of_a_stop_line():
         assert all(one != other for one, other in itertools.pairwise(letters))
 
 
-def test_what_the_speed_follows(soon_narrow):
-    film, _, _ = filmed(world(network=soon_narrow, traffic={"vehicles": 0}), "keep")
-    held = [HOLDINGS[k] for k in film.driven.holding]
-    assert set(held) <= {"set speed", "limit", "lane end"}  # nobody else is there
+def test_at_the_end_of_an_acceleration_lane_the_speed_follows_the_lanes_end_until_the_layer_leaves_it():
+    traffic = {"routes": (str(assets.routes("onramp")),), "warm_up_s": 30.0, "host": "replaces"}
+    film, trajectory, _ = filmed(on("onramp", traffic=traffic), "rule", UNSEEN + 3)  # it enters by the ramp
+    ends = np.array([HOLDINGS[k] == "lane end" for k in film.driven.holding])
+    assert ends.any()
+    assert (np.diff(trajectory.speed_mps)[ends[1:]] < 0.0).all()
+    [left] = [mark for mark in film.driven.marks if mark.kind == "lane end"]
+    assert left.text == "to the left"
+    assert not ends[left.frame + 20 :].any()  # 2 s later it has left it
 
+
+def test_behind_slower_vehicles_the_speed_follows_them():
     film, trajectory, _ = filmed(world(traffic={"speed_low_kmh": 40.0, "speed_high_kmh": 45.0, "vehicles": 30}), "keep")
     following = np.array([HOLDINGS[k] == "vehicle ahead" for k in film.driven.holding])
     assert following.sum() > 100
     below_set = film.driven.set_mps[following] - trajectory.speed_mps[following]
     assert (below_set > -0.05).mean() > 0.95  # whoever follows drives no faster than it would
+
+
+def test_before_a_red_signal_the_speed_follows_the_signal():
+    network = {"file": str(Path(__file__).with_name("two_signals.net.xml"))}
+    config = world(network=network, traffic={"vehicles": 0}, episode={"duration_s": 100.0})
+    film, trajectory, _ = filmed(config, "keep")
+    held = np.array([HOLDINGS[k] for k in film.driven.holding])
+    brakes = np.diff(trajectory.speed_mps, prepend=trajectory.speed_mps[0]) < -0.05
+    assert brakes.sum() > 50
+    assert set(held[brakes]) == {"signal"}
+    assert (held == "signal").sum() < film.n_frames / 2  # it has turned green since
+
+
+class InTurn:
+    """Decides these, one after the other, then KEEP."""
+
+    senses = None
+
+    def __init__(self, *actions):
+        self._left = list(actions)
+
+    def decide(self, observation, agent):
+        return self._left.pop(0) if self._left else MetaAction.KEEP
+
+
+def test_a_reversed_lane_change_and_contacts_leave_a_mark_in_the_frame_in_which_they_happen():
+    config = world(traffic={"vehicles": 0})
+    env = HighwayEnv(config)
+    env.reset(seed=UNSEEN)
+    camera = Camera(env, partial(drivers.probabilities, InTurn()))
+    side = MetaAction.LEFT if env.agent.mask[MetaAction.LEFT] else MetaAction.RIGHT
+    back = MetaAction.RIGHT if side == MetaAction.LEFT else MetaAction.LEFT
+    camera.drive(side)
+    camera.drive(back)
+    camera.drive(MetaAction.KEEP)
+    env.agent.host.collisions += 1  # as if it had struck, and been struck, by now
+    env.agent.host.struck += 1
+    frame = len(env.agent.host.speeds_mps)
+    camera.drive(MetaAction.KEEP)
+    film = camera.film("in turn", env.trajectory(), ground.near("highway5", *camera.places))
+    env.close()
+    towards = "to the left" if side == MetaAction.LEFT else "to the right"
+    assert [(mark.frame, mark.kind, mark.text) for mark in film.driven.marks] == [
+        (1, "lane change", towards),
+        (11, "reversed", ""),
+        (frame, "collision", ""),
+        (frame, "struck", ""),
+    ]
+
+
+def test_why_a_lane_change_was_refused_is_on_the_film():
+    film, _, _ = filmed(world(traffic={"vehicles": 0}), InTurn(*[MetaAction.LEFT] * 12))
+    whys = [one.why for one in film.driven.decisions[:12]]
+    assert "under way" in whys
+    assert whys[-1] == "no lane"  # on the leftmost of five
+    refused = [mark for mark in film.driven.marks if mark.kind == "refused"]
+    assert {mark.text for mark in refused} == {"no lane"}
+    assert [mark.frame for mark in refused] == [one.frame for one in film.driven.decisions if one.why == "no lane"]
 
 
 def test_a_learned_driver_tells_how_probable_each_decision_was():

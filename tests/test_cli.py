@@ -128,7 +128,7 @@ def test_eval_prints_a_row_per_policy_and_writes_the_tables(rail_sumo, tmp_path)
     ]
     assert max(map(len, out.splitlines())) <= 100
     written = {"episodes.csv", "episodes.parquet", "summary.csv", "summary.parquet"}
-    written |= {"decisions.parquet", "world.toml", "manifest.json"}
+    written |= {"decisions.parquet", "world.toml", "evaluation.json"}
     assert {path.name for path in (tmp_path / "out").iterdir()} == written
     episodes = pd.read_csv(tmp_path / "out" / "episodes.csv")
     assert list(episodes["policy"]) == ["keep", "keep", "rule", "rule"]

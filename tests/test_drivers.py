@@ -263,7 +263,14 @@ def test_a_driver_that_samples_draws_by_its_seed():
     assert drawn.tolist() != other.act(observations).tolist()
 
 
-def test_who_decides_by_more_than_an_observation_is_not_loaded():
+def test_who_has_not_learned_is_not_loaded():
     for name in ("rule", "sumo", "keep", "random"):
-        with pytest.raises(InputError, match=f"'{name}' decides by more than an observation; take expert, rail"):
+        with pytest.raises(InputError, match=f"'{name}' is not learned; take expert, rail"):
             rail_sumo.load_driver(name)
+
+
+def test_how_a_loaded_driver_acts_is_one_of_three_ways_and_an_expert_does_not_sample():
+    with pytest.raises(InputError, match="mode must be one of default, argmax, sampled; got 'greedy'"):
+        rail_sumo.load_driver("rail", mode="greedy")
+    with pytest.raises(InputError, match="'expert' is an expert, which always takes its most probable meta-action"):
+        rail_sumo.load_driver("expert", mode="sampled")

@@ -1,3 +1,4 @@
+import gzip
 import re
 from pathlib import Path
 
@@ -11,6 +12,8 @@ from rail_sumo.errors import InputError
 from rail_sumo.highway.network import demand, ground
 from rail_sumo.highway.simulation import Simulation
 from rail_sumo.pictures import fcd
+
+HEADER = "timestep_time;vehicle_id;vehicle_x;vehicle_y;vehicle_angle;vehicle_speed\n"
 
 
 @pytest.fixture(scope="module")
@@ -74,14 +77,70 @@ def test_sizes_go_by_what_types_are_called(tmp_path):
     file = tmp_path / "fcd.csv"
     file.write_text(
         "timestep_time;vehicle_id;vehicle_x;vehicle_y;vehicle_angle;vehicle_speed;vehicle_type\n"
-        "0;a;0;0;90;1;my_Truck_40t\n0;b;0;5;90;1;DEFAULT_VEHTYPE\n0;7;0;9;0;1;citybus\n"
+        "0;a;0;0;90;1;my_Truck_40t\n0;b;0;5;90;1;DEFAULT_VEHTYPE\n0;7;0;9;0;1;citybus\n0;c;0;9;0;1;business_car\n"
+        "0;d;0;9;0;1;DEFAULT_BIKETYPE\n"
     )
     vehicles = fcd.read(file).vehicles
     assert [(one.id, one.vclass, one.length_m) for one in vehicles] == [
         ("a", "truck", 7.1),
         ("b", "passenger", 5.0),
         ("7", "bus", 12.0),
+        ("c", "passenger", 5.0),
+        ("d", "bicycle", 1.6),
     ]
+
+
+def read_rows(tmp_path, *rows):
+    file = tmp_path / "fcd.csv"
+    file.write_text(HEADER + "".join(f"{row}\n" for row in rows))
+    return fcd.read(file)
+
+
+def test_an_id_may_look_like_a_missing_value(tmp_path):
+    film = read_rows(tmp_path, "0;NA;0;0;90;1", "0;null;9;0;90;1", "0;;;;;")
+    assert [one.id for one in film.vehicles] == ["NA", "null"]
+
+
+def test_rows_without_a_place_or_speed_are_left_out_and_a_row_that_is_there_twice_counts_once(tmp_path):
+    film = read_rows(tmp_path, "0;a;0;0;90;1", "0;a;0;0;90;1", "1;a;5;0;90;", "2;a;9;0;90;1", "2;b;inf;0;90;1")
+    assert film.frame.tolist() == [0, 1]
+    assert film.step_s == 2.0
+    assert [one.id for one in film.vehicles] == ["a"]
+
+
+def test_uneven_times_are_shown_one_after_the_other(tmp_path):
+    film = read_rows(tmp_path, "0;a;0;0;90;1", "3;a;5;0;90;1", "5;a;9;0;90;1")
+    assert film.frame.tolist() == [0, 1, 2]
+    assert film.step_s == 2.5
+
+
+def test_a_gap_in_time_stays_one(tmp_path):
+    film = read_rows(tmp_path, "100;a;0;0;90;1", "100.5;a;5;0;90;1", "102;a;9;0;90;1")
+    assert (film.start_s, film.step_s, film.frame.tolist()) == (100.0, 0.5, [0, 1, 4])
+
+
+def test_too_long_a_time_is_to_be_cut(tmp_path):
+    says = "'fcd.csv' lasts from 0 to 5e\\+09 s, 5000000000 steps of 1 s; cut out a part with --begin and --end"
+    with pytest.raises(InputError, match=says):
+        read_rows(tmp_path, "0;a;0;0;90;1", "1;a;5;0;90;1", "5e9;a;9;0;90;1")
+
+
+@pytest.mark.parametrize("left_out", ["x", "angle", "speed"])
+def test_xml_without_what_is_needed_is_told_so(tmp_path, left_out):
+    given = {"id": "a", "x": "1", "y": "2", "angle": "90", "speed": "3"}
+    del given[left_out]
+    row = " ".join(f'{name}="{value}"' for name, value in given.items())
+    file = tmp_path / "fcd.xml"
+    file.write_text(f'<fcd-export><timestep time="0"><vehicle {row}/></timestep></fcd-export>')
+    says = "has no vehicles in it" if left_out == "x" else f"it has no vehicle_{left_out}; write them with"
+    with pytest.raises(InputError, match=says):
+        fcd.read(file)
+
+
+def test_compressed_csv_is_read_too(tmp_path):
+    file = tmp_path / "fcd.csv.gz"
+    file.write_bytes(gzip.compress(f"{HEADER}0;a;0;0;90;1\n".encode()))
+    assert fcd.read(file).vehicles[0].id == "a"
 
 
 def test_data_of_another_network_are_refused(written):
@@ -89,9 +148,6 @@ def test_data_of_another_network_are_refused(written):
     fcd.require_same_network(film, ground.near("arterial", film.x_m, film.y_m))
     with pytest.raises(InputError, match=r"is of another network than 'ring5': 1[89].. of 2000 positions are far"):
         fcd.require_same_network(film, ground.near("ring5", film.x_m, film.y_m))
-
-
-HEADER = "timestep_time;vehicle_id;vehicle_x;vehicle_y;vehicle_angle;vehicle_speed\n"
 
 
 @pytest.mark.parametrize(

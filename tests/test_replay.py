@@ -1,10 +1,11 @@
 import re
+import shutil
 
 import pandas as pd
 import pytest
 from driving import assert_same
 
-from rail_sumo import config_file, replay, run
+from rail_sumo import assets, config_file, replay, run
 from rail_sumo.errors import InputError
 from rail_sumo.pictures import page
 from rail_sumo.rollout import EVALUATION, Task, drive, traffic_seed
@@ -29,7 +30,7 @@ def shown(monkeypatch):
 def test_a_replay_is_of_the_very_episode_that_the_table_tells_of(tmp_path, shown):
     world = config_file.load(None, BRIEF)
     who = {name: run.find_driver(name, world) for name in ("rail", "random")}
-    driven = replay.write(who, world, tmp_path / "two.html", seed=3, episode=1)
+    driven = replay.write(who, world, tmp_path / "two.html", seed=3, episode=1, judges=run.judges_of(who))
     for name, trajectory in zip(who, driven, strict=True):
         assert_same(trajectory, drive(Task(who[name], world, traffic_seed(3, EVALUATION, 1))))
     [(_, films, named)] = shown
@@ -100,6 +101,46 @@ def test_eval_writes_them_beside_its_tables(rail_sumo, tmp_path):
     )
 
 
+def test_a_driver_may_go_by_any_name_on_the_page(tmp_path, shown):
+    world = config_file.load(None, BRIEF)
+    replay.write({"my driver": run.find_driver("rail", world)}, world, tmp_path / "page.html", seed=0)
+    assert shown[0][1][0].name == "my driver"
+
+
+@pytest.mark.parametrize("trouble", [KeyboardInterrupt, InputError("SUMO stopped")])
+def test_whatever_happens_while_pages_are_made_the_tables_are_kept(rail_sumo, tmp_path, monkeypatch, trouble):
+    def stops(task):
+        raise trouble
+
+    monkeypatch.setattr("rail_sumo.rollout.film", stops)
+    words = ["eval", "keep", "--episodes", "2", "--out", "out", "--replay", "1", "--set", "episode.duration_s=5.0"]
+    code, _, err = rail_sumo(*words)
+    assert (code, err.count("\n")) == ((130, 1) if trouble is KeyboardInterrupt else (2, 1))
+    written = {path.name for path in (tmp_path / "out").iterdir()}
+    assert {"episodes.csv", "summary.csv", "decisions.parquet", "evaluation.json"} <= written
+    assert "replays" not in written
+
+
+def test_pages_of_earlier_drives_do_not_stay_beside_new_tables(rail_sumo, tmp_path, monkeypatch):
+    words = ["eval", "keep", "--episodes", "1", "--out", "out", "--replay", "1", "--set", "episode.duration_s=5.0"]
+    assert rail_sumo(*words)[0] == 0
+    assert len(list((tmp_path / "out" / "replays").iterdir())) == 1
+
+    def stops(task):
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr("rail_sumo.rollout.film", stops)
+    assert rail_sumo(*words, "--seed", "7", "--overwrite")[0] == 130
+    assert not (tmp_path / "out" / "replays").exists()
+
+
+def test_an_evaluation_may_be_written_beside_an_expert_without_harm(rail_sumo, tmp_path):
+    shutil.copytree(assets.expert_folder("shipped"), tmp_path / "exp")
+    words = ["eval", "exp", "--episodes", "1", "--set", "episode.duration_s=5.0"]
+    assert rail_sumo(*words, "--out", "exp", "--overwrite")[0] == 0
+    assert rail_sumo(*words)[0] == 0  # it still drives
+
+
 MISTAKES = {
     "replay keep --out page.txt": "a replay is a page, FILE.html; got 'page.txt'",
     "replay nobody": "policy 'nobody' is neither a run directory nor a driver",
@@ -108,7 +149,10 @@ MISTAKES = {
     "replay fcd.csv": "floating-car data do not hold the road; name their network by --network",
     "replay fcd.csv --network highway5 --routes highway5": "floating-car data are shown as they are",
     "replay fcd.csv --network highway5": "'fcd.csv' has no vehicles in it",
-    "replay lost.parquet --network highway5": "policy 'lost.parquet' is neither a run directory nor a driver",
+    "replay lost.parquet --network highway5": "floating-car data 'lost.parquet' do not exist",
+    "replay fcd.csv fcd.csv --network highway5": "one file of floating-car data is shown at a time",
+    "replay keep keep": "each policy is driven once; named twice: keep",
+    "eval rule keep rule": "each policy is driven once; named twice: rule",
     "eval keep --replay 2": "--replay writes into the folder of --out; name one",
 }
 

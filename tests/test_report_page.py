@@ -129,7 +129,7 @@ def test_what_is_no_folder_of_ours_or_is_damaged_is_told_in_one_line(tmp_path, r
 def test_an_evaluation_keeps_what_made_it(rail_sumo, tmp_path):
     words = ["eval", "keep", "--episodes", "1", "--seed", "5", "--set", "episode.duration_s=5.0", "--out", "my out"]
     assert rail_sumo(*words)[0] == 0
-    about = json.loads((tmp_path / "my out" / "manifest.json").read_text())
+    about = json.loads((tmp_path / "my out" / "evaluation.json").read_text())
     assert about["command"] == "rail-sumo eval keep --episodes 1 --seed 5 --set episode.duration_s=5.0 --out 'my out'"
     assert about["seed"] == 5
     assert config_file.load(tmp_path / "my out" / "world.toml").episode.duration_s == 5.0

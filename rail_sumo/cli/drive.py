@@ -2,6 +2,7 @@
 
 import math
 import shlex
+import shutil
 import sys
 from functools import partial
 from pathlib import Path
@@ -20,6 +21,7 @@ from rail_sumo.cli.options import (
     Routes,
     Seed,
     Workers,
+    network_of,
     overrides_of,
     workers_of,
 )
@@ -31,6 +33,7 @@ if TYPE_CHECKING:
 
 FCD, REPLAYS = "fcd", "replays"
 """The folders of the floating-car data, and of pages to watch, beside the tables."""
+FCD_SUFFIXES = (".parquet", ".csv", ".xml", ".gz")
 
 
 @app.command("eval", rich_help_panel="Drive")
@@ -71,14 +74,14 @@ def evaluate(
     if reference and reference not in policies:
         raise InputError(f"--reference {reference} is not among the policies: {', '.join(policies)}; name it there too")
     n_workers = workers_of(workers)
+    _require_each_once(policies)
     world = run.world(policies, overrides_of(network, routes, overrides))
     who = {policy: run.find_driver(policy, world, mode) for policy in policies}
+    judges = run.judges_of(policies)
 
-    def keep(tables: "Tables", whole: Path, n_replays: int) -> None:
+    def keep(tables: "Tables", whole: Path) -> None:
         tables.save(whole)
         run.describe(whole, world, shlex.join(["rail-sumo", *sys.argv[1:]]), seed=seed)
-        if n_replays:
-            replay.write_most_telling(tables.episodes, who, world, whole / REPLAYS, seed=seed, number=n_replays)
 
     try:
         with progress_bars() as bars:
@@ -97,19 +100,35 @@ def evaluate(
             elif fcd:
                 with files.whole_folder(out, overwrite=overwrite) as whole:
                     tables = drive(fcd=whole / FCD)
-                    keep(tables, whole, replays)
+                    keep(tables, whole)
             else:
                 tables = drive()
                 with files.whole_folder(out, overwrite=overwrite) as whole:
-                    keep(tables, whole, replays)
+                    keep(tables, whole)
     except run.Interrupted as stop:
         if out:
             with files.whole_folder(out, overwrite=overwrite) as whole:
-                keep(stop.tables, whole, 0)
+                keep(stop.tables, whole)
+            _forget(out, FCD, REPLAYS)
         show(stop.tables, out)
         print(f"rail-sumo: interrupted after {len(stop.tables.episodes)} of {stop.episodes} episodes", file=sys.stderr)
         raise typer.Exit(130) from None
     show(tables, out)
+    if out and replays:
+        _forget(out, REPLAYS)
+        try:
+            with files.whole_folder(out / REPLAYS) as whole:
+                replay.write_most_telling(tables.episodes, who, judges, world, whole, seed=seed, number=replays)
+        except KeyboardInterrupt:
+            print(f"rail-sumo: interrupted; the tables are in {out}, without pages to watch", file=sys.stderr)
+            raise typer.Exit(130) from None
+        print(f"pages to watch in {out / REPLAYS}")
+
+
+def _forget(out: Path, *folders: str) -> None:
+    """Remove what was written beside earlier tables, of other drives."""
+    for folder in folders:
+        shutil.rmtree(out / folder, ignore_errors=True)
 
 
 @app.command(rich_help_panel="Drive")
@@ -134,14 +153,17 @@ def replay(
 
     if out.suffix != ".html":
         raise InputError(f"a replay is a page, FILE.html; got '{out}'")
-    if len(what) == 1 and Path(what[0]).is_file():
+    recordings = [one for one in what if Path(one).is_file()]
+    if recordings and len(what) > 1:
+        raise InputError(f"one file of floating-car data is shown at a time; got {', '.join(what)}")
+    if recordings:
         if network is None:
             raise InputError("floating-car data do not hold the road; name their network by --network")
         if routes or overrides:
             raise InputError("floating-car data are shown as they are; leave out --routes and --set")
         replay.write_fcd(
-            Path(what[0]),
-            network,
+            Path(recordings[0]),
+            network_of(network),
             out,
             begin_s=-math.inf if begin is None else begin,
             end_s=math.inf if end is None else end,
@@ -150,7 +172,17 @@ def replay(
     else:
         if begin is not None or end is not None:
             raise InputError("--begin and --end cut floating-car data; of an episode all is shown")
+        for one in what:
+            if Path(one).suffix in FCD_SUFFIXES and not Path(one).exists():
+                raise InputError(f"floating-car data '{one}' do not exist (current folder: {Path.cwd().name})")
+        _require_each_once(what)
         world = run.world(what, overrides_of(network, routes, overrides))
         who = {policy: run.find_driver(policy, world, mode) for policy in what}
-        replay.write(who, world, out, seed=seed, episode=episode, overwrite=overwrite)
+        replay.write(who, world, out, seed=seed, episode=episode, judges=run.judges_of(what), overwrite=overwrite)
     print(f"replay in {out}; open it in a browser")
+
+
+def _require_each_once(policies: list[str]) -> None:
+    twice = {policy for policy in policies if policies.count(policy) > 1}
+    if twice:
+        raise InputError(f"each policy is driven once; named twice: {', '.join(sorted(twice))}")

@@ -3,7 +3,7 @@
 import shlex
 import sys
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import Annotated
 
 import typer
 
@@ -23,9 +23,6 @@ from rail_sumo.cli.options import (
     workers_of,
 )
 from rail_sumo.cli.progress import progress_bars, show
-
-if TYPE_CHECKING:
-    pass
 
 
 @app.command(rich_help_panel="Learn")

@@ -49,6 +49,15 @@ def overrides_of(network: str | None, routes: list[str] | None, overrides: list[
     return [*(f"{key}={json.dumps(value, ensure_ascii=False)}" for key, value in world.items()), *(overrides or ())]
 
 
+def network_of(network: str) -> str:
+    """Return the network that an option names: that of a configuration of SUMO's, or what it says."""
+    if not is_configuration(Path(network)):
+        return network
+    from rail_sumo.highway.network import sumocfg  # SUMO takes half a second to import
+
+    return sumocfg.read(Path(network))[0]["network.file"]
+
+
 def workers_of(text: str) -> int | Literal["ray"]:
     """Return how many processes drive, as `--workers` says.
 

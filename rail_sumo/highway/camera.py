@@ -43,14 +43,13 @@ class Camera:
         self._probabilities = probabilities
         self._vehicles: dict[str, Vehicle] = {}
         self._numbers: dict[str, int] = {}
-        self._rows: list[
-            tuple[Floats, Floats]
-        ] = []  # for each frame: vehicles' numbers, and (4, n) x, y, heading, speed
+        # For each frame: the vehicles' numbers, and their x, y, headings and speeds, shape (4, n).
+        self._rows: list[tuple[Floats, Floats]] = []
         self._rays: list[Floats] = []
         self._set_mps: list[float] = []
         self._gap_m: list[float] = []
         self._holding: list[int] = []
-        self._signals: list[dict[str, str]] = []
+        self._signals: dict[str, list[tuple[int, str]]] = {}  # by light: when it changed, and what it showed then
         self._marks: list[Mark] = []
         self._decisions: list[Decision] = []
         self._asked = MetaAction.KEEP
@@ -66,12 +65,12 @@ class Camera:
     def drive(self, action: int) -> Floats:
         """Take one decision and drive until the next falls due; returns the next observation."""
         agent, frame, is_open = self._agent, self._now, list(self._agent.mask)
-        asked = self._asked = MetaAction(action)
+        self._asked = MetaAction(action)
         probabilities = tuple(self._probabilities(agent.observation, is_open))
         counts = agent.overtakes, agent.overtaken, agent.refused_decisions
         observation, _ = self._env.drive(action)
-        carried_out = MetaAction.KEEP if agent.adas.why else asked
-        self._decisions.append(Decision(frame, asked, carried_out, agent.adas.why, tuple(is_open), probabilities))
+        assert agent.decided is not None  # just now
+        self._decisions.append(Decision(frame, *agent.decided, agent.adas.why, tuple(is_open), probabilities))
         if agent.refused_decisions > counts[2]:
             self._marks.append(Mark(frame, "refused", agent.adas.why))
         passed: tuple[tuple[MarkKind, int], ...] = (
@@ -94,7 +93,10 @@ class Camera:
         self._rows.append((np.array(numbers), scene.boxes[:4] * mirrored))
         rays_m = agent.lidar.scan(simulation.scene(agent.host))[0]
         self._rays.append(rays_m if sign > 0 else np.roll(rays_m[::-1], 1))
-        self._signals.append(simulation.signals())
+        for light, shown in simulation.signals().items():
+            changes = self._signals.setdefault(light, [])
+            if not changes or changes[-1][1] != shown:
+                changes.append((self._now, shown))
         self._set_mps.append(agent.adas.set_mps(agent.state.limit_mps))
         self._holding.append(HOLDINGS.index(self._holds()))
         self._gap_m.append(agent.host.gap_m)
@@ -182,8 +184,10 @@ class Camera:
 
     def _shown_by(self, light: str, index: int) -> tuple[tuple[int, str], ...]:
         """Return the frames in which a signal changed, and its letter from then on."""
-        letters = [shown[light][index] for shown in self._signals]
-        return tuple((k, letter) for k, letter in enumerate(letters) if k == 0 or letter != letters[k - 1])
+        letters = [(frame, shown[index]) for frame, shown in self._signals[light]]
+        return tuple(
+            (frame, letter) for k, (frame, letter) in enumerate(letters) if k == 0 or letter != letters[k - 1][1]
+        )
 
     def _driven(self, trajectory: Trajectory, judged: Sequence[float]) -> Driven:
         limit_mps = trajectory.limit_mps

@@ -99,6 +99,7 @@ class HighwayEnv(gymnasium.Env[Floats, np.int64]):
         self._seed = int(self.np_random.integers(2**31)) if seed is None else seed
         if self.config.varied.networks:
             self._settle(varied.draw(self.config, self._seed))
+            self._picture = None  # its colours are for the limits of one network
         try:
             self._open(np.random.default_rng(self._seed), self._outputs_of_host())
         except BaseException:
@@ -311,7 +312,7 @@ class HighwayEnv(gymnasium.Env[Floats, np.int64]):
         if self._agent is None:
             raise RuntimeError("there is nothing to show yet; call reset()")
         agent, course = self._agent, self.stretch.road
-        if self._picture is None or self.config.varied.networks:
+        if self._picture is None:
             self._picture = drawing.Picture(FRAME_PX, VIEW, (0.0, min(course.highest_limit_mps, FASTEST_CAR_MPS) * KMH))
         moment = drawing.Moment(
             agent.scene,
@@ -367,5 +368,5 @@ def _told(agent: Agent) -> str:
         return f"{speed}, the end: {agent.end}"
     if agent.decided is None:
         return speed
-    asked, carried_out = agent.decided
-    return f"{speed}, {asked.name.lower()}{'' if asked == carried_out else ' (refused)'}"
+    asked, why = agent.decided[0].name.lower(), agent.adas.why
+    return f"{speed}, {asked}{f' (not carried out: {why})' if why else ''}"

@@ -11,10 +11,10 @@ from rail_sumo.config import Config
 from rail_sumo.errors import CourseError, InputError
 from rail_sumo.highway import sumo_process
 from rail_sumo.highway.agent import Agent
-from rail_sumo.highway.driven import Driven, Ride
 from rail_sumo.highway.host import Host
 from rail_sumo.highway.network import demand, road
 from rail_sumo.highway.network.demand import Demand
+from rail_sumo.highway.rides import Ride, Rides
 from rail_sumo.highway.simulation import Inserted, Simulation
 from rail_sumo.records import SECONDS_PER_STEP, Floats, Lane, MetaAction
 
@@ -115,7 +115,7 @@ class Fleet:
             limit_factor=self.world.network.limit_factor,
         ) as simulation:
             self.lanes = simulation.lanes()
-            everybody = Driven(simulation, self._world, keeps_trajectory=False)
+            everybody = Rides(simulation, self._world, keeps_trajectory=False)
             for number in range(round((until_s - begin_s) / SECONDS_PER_STEP)):
                 self._step(simulation, everybody)
                 if number % round(1.0 / SECONDS_PER_STEP) == 0:
@@ -124,7 +124,7 @@ class Fleet:
                 self._count_contacts(ride.agent.host)
         return on_road
 
-    def _step(self, simulation: Simulation, everybody: Driven) -> None:
+    def _step(self, simulation: Simulation, everybody: Rides) -> None:
         for name, ride in list(everybody.rides.items()):
             if self._is_over(simulation, ride):
                 self._count_contacts(everybody.part(name).agent.host)
@@ -144,7 +144,7 @@ class Fleet:
         """Return whether a vehicle, by its id and its type's, is among the cars of a share; by default the fleet's."""
         return kind in self.kinds_of_cars and is_driven(vehicle, self.share if share is None else share, self.seed)
 
-    def _enter(self, simulation: Simulation, everybody: Driven, car: Inserted) -> None:
+    def _enter(self, simulation: Simulation, everybody: Rides, car: Inserted) -> None:
         if self.driver == "nothing":
             self.driven.add(car.name)
             return

@@ -14,9 +14,9 @@ from rail_sumo.config import Config
 from rail_sumo.errors import InputError
 from rail_sumo.highway import entry, sumo_process
 from rail_sumo.highway.agent import KEEP_ALONE, Agent
-from rail_sumo.highway.driven import Driven, Ride
 from rail_sumo.highway.network import demand, road
 from rail_sumo.highway.observation import bounds
+from rail_sumo.highway.rides import Ride, Rides
 from rail_sumo.highway.simulation import Simulation
 from rail_sumo.records import SECONDS_PER_STEP, EndReason, Floats, MetaAction
 
@@ -95,6 +95,7 @@ class HighwayParallelEnv(ParallelEnv[str, Floats, int]):
         self.agents: list[str] = []
         self._period_steps = round(self.config.episode.decision_period_s / SECONDS_PER_STEP)
         self._rng, _ = np_random()
+        self._live: dict[str, Ride] = {}
 
     def observation_space(self, agent: str) -> spaces.Box:
         """Return the space of what an agent observes, see `HighwayEnv`."""
@@ -135,10 +136,9 @@ class HighwayParallelEnv(ParallelEnv[str, Floats, int]):
             seed=self._seed,
             limit_factor=self.config.network.limit_factor,
         )
-        self._driven = Driven(simulation, self.config, keeps_trajectory=True)
+        self._rides = Rides(simulation, self.config, keeps_trajectory=True)
         self.vehicles: dict[str, str] = {}
         """The id in SUMO of every agent that has departed, by its name."""
-        self._live: dict[str, Ride] = {}
         self._over: dict[str, Told] = {}  # those who have not been told yet that their episode is over
         self._awaited = list(self.possible_agents)
         self._awaited_from_s, self._awaited_until_s = entry.moments(self.config, self._demand, rng)
@@ -199,7 +199,7 @@ class HighwayParallelEnv(ParallelEnv[str, Floats, int]):
                 self._look_from(simulation, name, ride)
             elif ride.is_idle:
                 ride.command(simulation)
-        left = self._driven.step()
+        left = self._rides.step()
         for name, ride in list(self._live.items()):
             if ride in left:
                 self._end_away(name, ride)
@@ -210,7 +210,7 @@ class HighwayParallelEnv(ParallelEnv[str, Floats, int]):
         waited_s = simulation.now_s - self._awaited_from_s
         for car, stretch in entry.replaceable(simulation.departed(), self.config, waited_s=waited_s):
             name = self._awaited.pop(0)
-            self._live[name] = self._driven.enter(car, stretch)
+            self._live[name] = self._rides.enter(car, stretch)
             self._live[name].agent.wait(steps_left)
             self.vehicles[name] = car.name
             self._awaited_from_s, self._awaited_until_s = simulation.now_s, simulation.now_s + entry.WAIT_S
@@ -241,13 +241,13 @@ class HighwayParallelEnv(ParallelEnv[str, Floats, int]):
         agent = ride.agent
         if agent.host.is_lost:
             self._end_away(name, ride)
-            self._driven.part(agent.host.name)
+            self._rides.part(agent.host.name)
             return
         agent.look(simulation.scene(agent.host))
         if agent.end is not None:
             self._over[name] = self._last_of(agent)
             del self._live[name]
-            self._driven.part(agent.host.name)
+            self._rides.part(agent.host.name)
 
     def _end_away(self, name: str, ride: Ride) -> None:
         """End the episode of one that has left the road, or its course."""
@@ -290,7 +290,7 @@ class HighwayParallelEnv(ParallelEnv[str, Floats, int]):
 
     def close(self) -> None:
         """Free the process's simulation; harmless when none is open."""
-        self.agents = []
+        self.agents, self._live = [], {}
         if self._simulation is not None:
             self._simulation.close()
             self._simulation = None

@@ -2,14 +2,15 @@
 
 import itertools
 import math
+import re
 import xml.sax
-from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pandas as pd
 import pyarrow as pa
+from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
 from rail_sumo.errors import InputError
@@ -20,30 +21,37 @@ from rail_sumo.records import Floats
 MOST_ROWS = 1_500_000
 """Of longer data only every second, third, ... time is shown, so that the page stays quick."""
 
-SIZES_M: dict[str, tuple[float, float]] = {
-    "pedestrian": (0.2, 0.5),
-    "bicycle": (1.6, 0.65),
-    "moped": (2.1, 0.8),
-    "motorcycle": (2.2, 0.9),
-    "trailer": (16.5, 2.55),
-    "truck": (7.1, 2.4),
-    "lorry": (7.1, 2.4),
-    "bus": (12.0, 2.5),
-    "coach": (14.0, 2.6),
-    "tram": (22.0, 2.4),
+KINDS: dict[str, tuple[str, float, float]] = {
+    "pedestrian": ("pedestrian", 0.2, 0.5),
+    "pedtype": ("pedestrian", 0.2, 0.5),
+    "bicycle": ("bicycle", 1.6, 0.65),
+    "bike": ("bicycle", 1.6, 0.65),
+    "biketype": ("bicycle", 1.6, 0.65),
+    "moped": ("moped", 2.1, 0.8),
+    "motorcycle": ("motorcycle", 2.2, 0.9),
+    "trailer": ("trailer", 16.5, 2.55),
+    "truck": ("truck", 7.1, 2.4),
+    "lorry": ("truck", 7.1, 2.4),
+    "bus": ("bus", 12.0, 2.5),
+    "coach": ("coach", 14.0, 2.6),
+    "tram": ("tram", 22.0, 2.4),
 }
-"""Length and width of SUMO's vehicle classes, which floating-car data do not hold: by a word in the vehicle type's
-name."""
-CAR_M = (5.0, 1.8)
+"""SUMO's vehicle class with its length and width, which floating-car data do not hold, by what a word in the vehicle
+type's name ends with."""
+CAR = ("passenger", 5.0, 1.8)
+MOST_FRAMES = 200_000
+"""A page of more moments would be too much for a browser."""
 
 TIME, ID, X, Y, ANGLE, SPEED, TYPE, LANE = (
     "timestep_time",
     *(f"vehicle_{name}" for name in ("id", "x", "y", "angle", "speed", "type", "lane")),
 )
 NEEDED = (TIME, ID, X, Y, ANGLE, SPEED)
+UNEVEN = 0.1
+"""Of a step: times that are farther from a multiple of it are none."""
 CHECKED, NEAR_M = 2000, 25.0
 """How many positions are compared with the network, and how far from its lanes a vehicle may be."""
-PARQUET_MAGIC, XML_BEGINS = b"PAR1", (b"<", b"\xef\xbb\xbf<", b"\x1f\x8b")
+PARQUET_MAGIC = b"PAR1"
 
 
 def read(file: Path, *, begin_s: float = -math.inf, end_s: float = math.inf) -> Film:
@@ -59,21 +67,23 @@ def read(file: Path, *, begin_s: float = -math.inf, end_s: float = math.inf) -> 
     """
     table = _table(file)
     missing = [column for column in NEEDED if column not in table]
+    if not missing:
+        table = table[table[ID].notna()]
+        missing = [column for column in NEEDED if len(table) and table[column].isna().all()]
     if missing:
         raise InputError(
             f"'{file.name}' is no floating-car data of SUMO's: it has no {', '.join(missing)}; write them with "
             f"--fcd-output.attributes x,y,angle,speed,type,lane"
         )
-    table = table[table[ID].notna() & table[X].notna() & table[TIME].between(begin_s, end_s)]
+    known = np.isfinite(table[[TIME, X, Y, ANGLE, SPEED]].to_numpy(np.float64)).all(axis=1)
+    table = table[known & table[TIME].between(begin_s, end_s)].sort_values(TIME, kind="stable")
+    table = table.drop_duplicates([TIME, ID])
     if table.empty:
         raise InputError(f"'{file.name}' has no vehicles in it{_within(begin_s, end_s)}")
-    table = table.sort_values(TIME, kind="stable")
-    times_s = np.unique(table[TIME].to_numpy())
-    step_s = float(np.diff(times_s).min()) if len(times_s) > 1 else 1.0
-    moment = np.round((table[TIME].to_numpy() - times_s[0]) / step_s).astype(np.int32)
+    start_s, step_s, moment = _moments(table[TIME].to_numpy(), file)
     every = math.ceil(len(table) / MOST_ROWS)
     table, moment = table[moment % every == 0], moment[moment % every == 0]
-    frame = moment // every
+    frame = (moment // every).astype(np.int32)
     vehicle, ids = pd.factorize(table[ID].astype(str))
     kinds = table[TYPE].to_numpy() if TYPE in table else np.full(len(table), "")
     first = np.unique(vehicle, return_index=True)[1]
@@ -82,7 +92,7 @@ def read(file: Path, *, begin_s: float = -math.inf, end_s: float = math.inf) -> 
     to_centre_m = np.array([one.length_m for one in vehicles])[vehicle] / 2  # SUMO tells where the front is
     return Film(
         name=file.name,
-        start_s=float(times_s[0]),
+        start_s=start_s,
         step_s=round(step_s * every, 6),
         n_frames=int(frame[-1]) + 1,
         vehicles=vehicles,
@@ -92,8 +102,36 @@ def read(file: Path, *, begin_s: float = -math.inf, end_s: float = math.inf) -> 
         y_m=table[Y].to_numpy() - to_centre_m * np.sin(heading_rad),
         heading_rad=heading_rad,
         speed_mps=table[SPEED].to_numpy(),
-        left_out=_left_out(every, len(table)),
+        left_out="" if every == 1 else f"One moment of {every} is shown, {len(table)} positions in all.",
     )
+
+
+def _moments(time_s: Floats, file: Path) -> tuple[float, float, NDArray[np.int64]]:
+    """Return when the data begin, how far apart moments are, and the number of the moment of each row.
+
+    Times that are no multiples of the shortest step between two of them are numbered one after the other, at their
+    mean distance.
+
+    Args:
+        time_s: of each row, not descending, shape (n_rows,).
+        file: what they are of.
+
+    Raises:
+        InputError: there are too many moments between the first and the last.
+    """
+    times_s, row = np.unique(time_s, return_inverse=True)
+    if len(times_s) == 1:
+        return float(times_s[0]), 1.0, row.astype(np.int64)
+    step_s = float(np.diff(times_s).min())
+    steps = (times_s - times_s[0]) / step_s
+    if np.abs(steps - np.round(steps)).max() > UNEVEN:
+        step_s, steps = float(times_s[-1] - times_s[0]) / (len(times_s) - 1), np.arange(len(times_s), dtype=np.float64)
+    if steps[-1] >= MOST_FRAMES:
+        raise InputError(
+            f"'{file.name}' lasts from {times_s[0]:g} to {times_s[-1]:g} s, {steps[-1]:.0f} steps of {step_s:g} s; cut "
+            f"out a part with --begin and --end"
+        )
+    return float(times_s[0]), step_s, np.round(steps).astype(np.int64)[row]
 
 
 def require_same_network(film: Film, ground: Ground) -> None:
@@ -121,29 +159,27 @@ def _along(line: Floats) -> Floats:
 def _table(file: Path) -> pd.DataFrame:
     try:
         with file.open("rb") as stream:
-            start = stream.read(4)
-    except OSError as error:
-        raise InputError(f"cannot read floating-car data '{file}': {error.strerror or error}") from None
-    if start.startswith(PARQUET_MAGIC):
-        how: Callable[[Path], pd.DataFrame] = _of_parquet
-    else:
-        how = _of_xml if start.startswith(XML_BEGINS) else _of_csv
-    try:
-        table = how(file)
+            is_parquet = stream.read(len(PARQUET_MAGIC)) == PARQUET_MAGIC
+        if is_parquet:
+            table = pd.read_parquet(file)
+        else:
+            with opened(file) as stream:
+                is_xml = stream.read(8).lstrip(b"\xef\xbb\xbf \t\r\n").startswith(b"<")
+            table = _of_xml(file) if is_xml else _of_csv(file)
         return table.astype({column: np.float64 for column in NEEDED if column != ID and column in table})
-    except (*UNREADABLE, OSError, pa.ArrowException, ValueError) as error:
+    except (FileNotFoundError, IsADirectoryError, PermissionError) as error:
+        raise InputError(f"cannot read floating-car data '{file}': {error.strerror or error}") from None
+    except (*UNREADABLE, pa.ArrowException, ValueError) as error:
         reason = str(error).splitlines()[0] if str(error) else type(error).__name__
         raise InputError(f"'{file.name}' is no floating-car data of SUMO's, or is damaged: {reason}") from None
 
 
-def _of_parquet(file: Path) -> pd.DataFrame:
-    return pd.read_parquet(file)
-
-
 def _of_csv(file: Path) -> pd.DataFrame:
-    with file.open(encoding="utf-8", errors="replace") as stream:
-        header = stream.readline()
-    return pd.read_csv(file, sep=";" if ";" in header else ",", dtype={ID: str, TYPE: str})
+    with opened(file) as stream:
+        separator = ";" if b";" in stream.readline() else ","
+    with opened(file) as stream:  # an id may be "NA" or "null"
+        table = pd.read_csv(stream, sep=separator, dtype={ID: str, TYPE: str}, keep_default_na=False, na_values=[""])
+    return table if ID not in table else table.assign(**{ID: table[ID].replace("", None)})
 
 
 def _of_xml(file: Path) -> pd.DataFrame:
@@ -172,13 +208,10 @@ class _Reader(xml.sax.ContentHandler):
 
 
 def _vehicle(name: str, kind: str) -> Vehicle:
-    vclass = next((word for word in SIZES_M if word in kind.lower()), "passenger")
-    return Vehicle(name, vclass, *SIZES_M.get(vclass, CAR_M))
+    words = re.split(r"[^a-z]+", kind.lower())
+    found = (KINDS[ending] for ending in KINDS if any(word.endswith(ending) for word in words))
+    return Vehicle(name, *next(found, CAR))
 
 
 def _within(begin_s: float, end_s: float) -> str:
     return "" if math.isinf(begin_s) and math.isinf(end_s) else f" from {begin_s:g} to {end_s:g} s"
-
-
-def _left_out(every: int, n_rows: int) -> str:
-    return "" if every == 1 else f"One moment of {every} is shown, {n_rows} positions in all."

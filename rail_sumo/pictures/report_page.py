@@ -20,14 +20,13 @@ from rail_sumo.files import check_file, whole_file
 from rail_sumo.pictures import plot
 from rail_sumo.records import MetaAction
 from rail_sumo.run_directory import CLONE, CONFIG, PROGRESS
+from rail_sumo.tables.report import DECISIONS, EPISODES, ORIGIN, SUMMARY, WORLD
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 _PARTS = Path(__file__).with_name("report")
 
-WORLD = "world.toml"
-EPISODES, SUMMARY, DECISIONS = "episodes.parquet", "summary.parquet", "decisions.parquet"
 CELLS, TRAFFIC, DIFFERENCES, TABLE1 = "cells.parquet", "traffic.parquet", "differences.parquet", "table1.csv"
 KINDS = (CONFIG, EPISODES, CELLS, TRAFFIC)
 """A folder is known by one of these."""
@@ -108,8 +107,8 @@ def _about(folder: Path) -> Iterator[str]:
 
 
 def _origin(folder: Path) -> Iterator[str]:
-    file = folder / assets.MANIFEST
-    if not file.is_file():
+    file = next((folder / name for name in (ORIGIN, assets.MANIFEST) if (folder / name).is_file()), None)
+    if file is None:
         return
     try:
         about = json.loads(file.read_text(encoding="utf-8"))
@@ -259,6 +258,8 @@ def _settings(folders: Sequence[Path]) -> str:
 
 
 def _read(file: Path) -> pd.DataFrame:
+    if not file.exists():
+        raise InputError(f"'{file}' is not there yet; bring the study to its end by the same command")
     try:
         return pd.read_csv(file) if file.suffix == ".csv" else pd.read_parquet(file)
     except Exception as error:  # whatever pandas and pyarrow stumble over

@@ -17,6 +17,10 @@ from rail_sumo.tables import statistics
 EXPERT = "expert"
 """The policy that ratios refer to unless another is named."""
 
+EPISODES, SUMMARY, DECISIONS = "episodes.parquet", "summary.parquet", "decisions.parquet"
+WORLD, ORIGIN = "world.toml", "evaluation.json"
+"""The files of an evaluation's folder: its tables, the configuration, and how it was made."""
+
 CONTACTS = ("collisions", "struck")
 """Metrics that are 0 in nearly every episode."""
 

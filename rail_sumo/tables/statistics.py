@@ -79,9 +79,11 @@ def share(scores: ArrayLike) -> Estimate:
     """Return in what share of scores, of any shape, something happened (is not 0), with Wilson's interval.
 
     It also tells how often what never happened may yet happen. It takes all scores as independent: where trainings
-    differ in how often something happens, it is too narrow.
+    differ in how often something happens, it is too narrow. Without scores all is NaN.
     """
     happened = np.asarray(scores) != 0
+    if not happened.size:
+        return Estimate(math.nan, math.nan, math.nan)
     found = stats.binomtest(int(happened.sum()), happened.size)
     low, high = found.proportion_ci(CONFIDENCE, method="wilson")
     return Estimate(found.statistic, float(low), float(high))

@@ -43,7 +43,7 @@ class Ride:
         self._ordered = self._driven = 0
 
 
-class Driven:
+class Rides:
     """All driven vehicles of one simulation.
 
     Args:
