@@ -5,6 +5,7 @@ python tests/films.py FOLDER writes the pages that the browser's tests open, and
 
 import json
 import sys
+from dataclasses import replace
 from pathlib import Path
 from typing import get_args
 
@@ -65,7 +66,7 @@ def motorway():
     return Ground(tuple(lanes), (corners,), tuple(stops), "motorway")
 
 
-def drive(seed=0, *, name="rail", seconds=300.0, step_s=0.1, n_vehicles=20, eager=1.0, ids=None):
+def drive(seed=0, *, name="rail", seconds=300.0, step_s=0.1, n_vehicles=20, eager=1.0, ids=None, end_reason="duration"):
     """A host among others on the motorway, with everything that can happen to it."""
     rng = np.random.default_rng(seed)
     n_frames = round(seconds / step_s) + 1
@@ -112,6 +113,7 @@ def drive(seed=0, *, name="rail", seconds=300.0, step_s=0.1, n_vehicles=20, eage
         holding=_holding(rng, n_frames),
         decisions=decisions,
         marks=marks,
+        end_reason=end_reason,
     )
     return Film(
         name=name,
@@ -124,6 +126,14 @@ def drive(seed=0, *, name="rail", seconds=300.0, step_s=0.1, n_vehicles=20, eage
         left_out="Vehicles farther than 450 m from the host are left out.",
         **columns,
     )
+
+
+def sumos(seed=0, **kind):
+    """The same, driven by SUMO's own driver."""
+    film = drive(seed, **kind)
+    holding = np.full(film.n_frames, get_args(Holding).index("SUMO"), dtype=np.int8)
+    set_mps = np.full(film.n_frames, np.nan)
+    return replace(film, driven=replace(film.driven, set_mps=set_mps, holding=holding, decisions=()))
 
 
 def _decide(rng, n_frames, step_s, eager):
@@ -199,7 +209,7 @@ def _rays(columns, vehicles, lateral, n_frames):
 
 def _holding(rng, n_frames):
     changes = rng.integers(0, n_frames, 40)
-    values = rng.choice(len(get_args(Holding)), 41, p=[0.4, 0.1, 0.3, 0.02, 0.05, 0.05, 0.05, 0.03])
+    values = rng.choice(len(get_args(Holding)), 41, p=[0.4, 0.1, 0.3, 0.02, 0.08, 0.05, 0.05, 0.0])
     return values[np.searchsorted(np.sort(changes), np.arange(n_frames), side="right")].astype(np.int8)
 
 
@@ -281,7 +291,8 @@ def _truth(film, frames):
         if film.driven:
             entry["rays"] = film.driven.ray_m[frame].tolist()
             entry["gap"] = None if np.isnan(film.driven.gap_m[frame]) else film.driven.gap_m[frame]
-            entry["set"], entry["limit"] = film.driven.set_mps[frame], film.driven.limit_mps[frame]
+            entry["set"] = None if np.isnan(film.driven.set_mps[frame]) else film.driven.set_mps[frame]
+            entry["limit"] = film.driven.limit_mps[frame]
             entry["holding"] = get_args(Holding)[film.driven.holding[frame]]
         shown.append(entry)
     decisions = [
@@ -297,7 +308,14 @@ def _truth(film, frames):
         for d in (film.driven.decisions if film.driven else ())
     ]
     marks = [[m.frame, m.kind, m.text] for m in (film.driven.marks if film.driven else ())]
-    return {"frames": shown, "decisions": decisions, "marks": marks, "n_frames": film.n_frames}
+    end_reason = film.driven.end_reason if film.driven else None
+    return {
+        "frames": shown,
+        "decisions": decisions,
+        "marks": marks,
+        "n_frames": film.n_frames,
+        "end_reason": end_reason,
+    }
 
 
 def main(folder):
@@ -306,12 +324,16 @@ def main(folder):
     ground = motorway()
     one, other = drive(1, name="road-rail"), drive(2, name="road-expert", eager=1.6)
     hostile = drive(3, name=HOSTILE, seconds=20, n_vehicles=6, ids=[f"{HOSTILE}{who}" for who in range(6)])
+    short = drive(4, name="road-rail", seconds=9.5, end_reason="course")
+    crash = drive(5, name="road-expert", seconds=20, eager=1.6, end_reason="collision")
     town_ground, crowd = town()
     thousand_ground, thousand = town(1, n_vehicles=1_000)
     about = {"network": "motorway", "traffic": "20 vehicles, seed 1", "made by": "rail-sumo 0.1.0"}
     pages = {
         "one": (ground, [one], "A drive on the motorway", about),
         "two": (ground, [one, other], "road-rail beside road-expert", about),
+        "unequal": (ground, [short, crash], "One ends before the other", about),
+        "sumo": (ground, [sumos(6, name="sumo", seconds=20)], "SUMO drives", about),
         "hostile": (ground, [hostile], HOSTILE, {HOSTILE: HOSTILE}),
         "town": (town_ground, [crowd], "Ten minutes in town", {"network": "town"}),
         "thousand": (thousand_ground, [thousand], "A thousand vehicles", {}),

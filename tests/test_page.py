@@ -13,9 +13,10 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from rail_sumo.errors import InputError
-from rail_sumo.film import Film, Ground, Holding, Lane, Vehicle
+from rail_sumo.film import Film, Ground, Holding, Lane, MarkKind, Vehicle, Why
 from rail_sumo.pictures import page
 from rail_sumo.pictures.page import QUANTA
+from rail_sumo.records import EndReason, MetaAction
 
 NOWHERE = Ground((), (), (), "nowhere")
 
@@ -161,6 +162,7 @@ def test_what_the_driver_saw_and_decided_is_packed_to_the_quantum():
         np.testing.assert_allclose(np.array(shares) * 1e-4, decision.probabilities, atol=0.51e-4)
         assert judged * 1e-4 == pytest.approx(decision.judged, abs=0.51e-4)
     assert header["driven"]["marks"] == [[mark.frame, mark.kind, mark.text] for mark in driven.marks]
+    assert header["driven"]["end_reason"] == driven.end_reason == "duration"
     assert header["signals"] == [[list(change) for change in line] for line in shown.signals]
 
 
@@ -285,7 +287,8 @@ def test_what_the_driver_saw_fits_the_film_or_is_refused():
         "outside 0 to": {"holding": np.full(n, len(get_args(Holding)), dtype=np.int8)},
         "outside the film": {"marks": (replace(good.driven.marks[0], frame=n),)},
         "unknown kind": {"marks": (replace(good.driven.marks[0], kind="nap"),)},
-        "unknown reason": {"decisions": (replace(good.driven.decisions[0], why="mood"),)},
+        "ended for an unknown reason": {"end_reason": "boredom"},
+        "with an unknown reason": {"decisions": (replace(good.driven.decisions[0], why="mood"),)},
     }
     for told, change in bad.items():
         with pytest.raises(ValueError, match=told):
@@ -318,6 +321,22 @@ def test_modules_are_joined_in_the_order_of_what_they_import():
     assert "</script" not in joined
     names = re.findall(r"^(?:async )?(?:function|class|const|let) (\w+)", joined, re.MULTILINE)
     assert sorted(names) == sorted(set(names))
+
+
+@pytest.mark.parametrize(
+    ("table", "kinds"),
+    [
+        ("ENDS", get_args(EndReason)),
+        ("HOLDINGS", get_args(Holding)),
+        ("REFUSALS", set(get_args(Why)) - {""}),
+        ("MARKS", get_args(MarkKind)),
+        ("ACTION_LABELS", [action.name.lower() for action in MetaAction]),
+    ],
+)
+def test_the_page_has_words_for_everything_that_a_film_may_hold(table, kinds):
+    words = (page._FOLDER / "words.js").read_text(encoding="utf-8")
+    body = re.search(rf"const {table} = {{(.*?)}};", words, re.DOTALL)[1]
+    assert set(re.findall(r'(?:^|[,{])\s*"?([A-Za-z][A-Za-z ]*)"?: ["{]', body)) - {"label"} >= set(kinds)
 
 
 def test_every_lane_of_two_points_or_more_and_their_lines():

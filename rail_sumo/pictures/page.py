@@ -19,7 +19,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from rail_sumo.files import check_file, whole_file
 from rail_sumo.film import Driven, Film, Ground, Holding, MarkKind, Why
-from rail_sumo.records import Floats, MetaAction
+from rail_sumo.records import EndReason, Floats, MetaAction
 
 FORMAT = 1
 """Of what is packed; the page refuses another."""
@@ -38,6 +38,7 @@ QUANTA = {
 MODULES = (
     "words",
     "colours",
+    "theme",
     "decode",
     "timeline",
     "motion",
@@ -48,6 +49,8 @@ MODULES = (
     "marks",
     "curves",
     "card",
+    "difference",
+    "link",
     "save",
     "controls",
     "main",
@@ -245,6 +248,7 @@ def _driven_header(driven: Driven) -> dict[str, Any]:
             for decision in driven.decisions
         ],
         "marks": [[mark.frame, mark.kind, mark.text] for mark in driven.marks],
+        "end_reason": driven.end_reason,
     }
 
 
@@ -287,6 +291,8 @@ def _check_driven(name: str, driven: Driven, film: Film) -> None:
         raise ValueError(f"film '{name}': a decision with an unknown reason")
     if not {mark.kind for mark in driven.marks} <= set(get_args(MarkKind)):
         raise ValueError(f"film '{name}': a mark of an unknown kind")
+    if driven.end_reason not in ("", *get_args(EndReason)):
+        raise ValueError(f"film '{name}': it ended for an unknown reason")
 
 
 def _origin(ground: Ground, films: Sequence[Film]) -> tuple[float, float]:

@@ -138,7 +138,7 @@ for (const [size, viewport] of Object.entries({ "1280 x 800": WIDE, "390 x 844":
   }
 }
 
-for (const name of ["one", "two", "hostile", "town"]) {
+for (const name of ["one", "two", "unequal", "sumo", "hostile", "town"]) {
   test(`${name}: what was packed is what is shown`, async () => {
     await withPage(name, {}, async (page) => {
       await ready(page);
@@ -166,7 +166,7 @@ for (const name of ["one", "two", "hostile", "town"]) {
                 const seen = driven && {
                   rays: Array.from({ length: driven.nRays }, (_, k) => driven.ray[k * rest.nFrames + frame] * quanta.ray_m),
                   gap: Number.isNaN(driven.gapM[frame]) ? null : driven.gapM[frame],
-                  set: driven.setMps[frame],
+                  set: Number.isNaN(driven.setMps[frame]) ? null : driven.setMps[frame],
                   limit: driven.limitMps[frame],
                   holding: driven.holding[frame],
                 };
@@ -174,11 +174,12 @@ for (const name of ["one", "two", "hostile", "town"]) {
               }),
               decisions: driven?.decisions ?? [],
               marks: driven?.marks ?? [],
+              endReason: driven?.endReason ?? null,
             };
           },
           [number, film.frames.map(({ frame }) => frame)],
         );
-        assert.equal(shown.nFrames, film.n_frames);
+        assert.deepEqual([shown.nFrames, shown.endReason], [film.n_frames, film.end_reason]);
         const { quanta } = shown;
         const within = (one, other, quantum, what) => assert.ok(near(one, other, 0.501 * quantum + 1e-9), `${what}: ${one}, ${other}`);
         film.frames.forEach((expected, k) => {
@@ -195,7 +196,8 @@ for (const name of ["one", "two", "hostile", "town"]) {
           expected.rays.forEach((reach, ray) => within(found.rays[ray], reach, quanta.ray_m, "ray"));
           if (expected.gap === null) assert.equal(found.gap, null);
           else within(found.gap, expected.gap, quanta.gap_m, "gap");
-          within(found.set, expected.set, quanta.speed_mps, "set speed");
+          if (expected.set === null) assert.equal(found.set, null);
+          else within(found.set, expected.set, quanta.speed_mps, "set speed");
           within(found.limit, expected.limit, quanta.speed_mps, "limit");
           assert.equal(found.holding, expected.holding);
         });
@@ -416,6 +418,65 @@ test("a link's moment is opened, standing, and the address keeps up", async () =
   });
 });
 
+/** Let the address be changed `most` times in 10 s, as browsers do, and count how often it is. */
+const rationed = (most) => {
+  const [replace, times] = [history.replaceState.bind(history), []];
+  window.linked = times;
+  history.replaceState = (...given) => {
+    times.push(performance.now());
+    if (times.filter((time) => time > performance.now() - 10_000).length > most) throw new DOMException("too often", "SecurityError");
+    replace(...given);
+  };
+};
+
+/** Drag along the timeline to and fro, to a share of it in the end; returns how often the picture followed. */
+async function scrub(page, share) {
+  const track = await page.locator("#track").boundingBox();
+  const [top, left] = [track.y + track.height - 5, (at) => track.x + at * track.width];
+  await page.mouse.move(left(0.1), top);
+  await page.mouse.down();
+  const seen = new Set();
+  for (const to of [0.9, 0.2, 0.8, 0.3]) {
+    await page.mouse.move(left(to), top, { steps: 60 });
+    await drawn(page);
+    seen.add(await page.textContent("#clock"));
+  }
+  await page.mouse.move(left(share), top, { steps: 60 });
+  await page.mouse.up();
+  await drawn(page);
+  return seen.size;
+}
+
+for (const [most, what] of [[100, "as Safari does"], [5, "sooner than any browser does"], [0, "as it does in a frame of another page"]]) {
+  test(`scrubbing and playing go on where the address may be changed ${most} times, ${what}`, async () => {
+    await withPage("one", { init: `(${rationed})(${most})` }, async (page) => {
+      await ready(page);
+      assert.equal(await scrub(page, 0.5), 4);
+      const { elapsed } = await state(page);
+      assert.ok(near(elapsed, 150, 1), `${elapsed}`);
+      assert.equal(await page.textContent("#clock"), `${elapsed.toFixed(1)} s of 300.0 s`);
+      const [linked, tookMs] = await page.evaluate(() => [window.linked.length, performance.now()]);
+      assert.ok(linked >= 1 && linked <= 2 + tookMs / 1000, `the address was changed ${linked} times in ${tookMs} ms`);
+      if (most > 5) await page.waitForFunction((hash) => location.hash === hash, `#t=${elapsed.toFixed(1)}`);
+      await page.keyboard.press("Space");
+      await page.waitForFunction((since) => window.replay.state().elapsed > since + 1.5, elapsed);
+      assert.equal((await state(page)).playing, true);
+    });
+  });
+}
+
+test("within a sandboxed frame of another page it plays", async () => {
+  const file = join(mkdtempSync(join(tmpdir(), "replay-")), "frame.html");
+  const text = readFileSync(join(PAGES, "unequal.html"), "utf8").replaceAll("&", "&amp;").replaceAll('"', "&quot;");
+  writeFileSync(file, `<!doctype html><title>frame</title><iframe sandbox="allow-scripts" width="1200" height="700" srcdoc="${text}"></iframe>`);
+  await withPage("frame", { file, hash: "" }, async (page) => {
+    await page.waitForFunction(() => frames.length === 1);
+    const frame = page.frames()[1];
+    await frame.waitForFunction(() => window.replay?.state().elapsed > 2);
+    assert.equal((await state(frame)).playing, true);
+  });
+});
+
 test("films of the simulation's time are linked by it", async () => {
   await withPage("town", { hash: "#t=25260" }, async (page) => {
     await ready(page);
@@ -501,6 +562,90 @@ test("two films run on one clock, and their difference is told", async () => {
     const [first, second] = (await state(page)).views;
     assert.equal(first.scale, second.scale);
     assert.notEqual(first.x, second.x);
+  });
+});
+
+test("of two films the shorter one's end is told, and nothing of it goes on", async () => {
+  await withPage("unequal", {}, async (page) => {
+    await ready(page);
+    const at = async (elapsed) => {
+      await page.evaluate((to) => window.replay.seek(to), elapsed);
+      await drawn(page);
+      const { views } = await state(page);
+      return {
+        cards: await page.locator(".card").allInnerTexts(),
+        difference: await page.textContent("#difference"),
+        ended: views.map(({ ended }) => ended),
+      };
+    };
+    const last = await at(9.5);
+    assert.match(last.cards[0], /^Decision at 9\.0 s[^]*speed\s+\d+ km\/h[^]*The episode ended at 9\.5 s: end of the course\.$/);
+    assert.match(last.difference, /speed [+−±]\d+ km\/h/);
+    assert.deepEqual(last.ended, [false, false]);
+    await keep(page, "last frame");
+    const past = await at(9.6);
+    assert.equal(past.cards[0].replace(/\s*\n\s*/g, "|").trim(), "road-rail|The episode ended at 9.5 s: end of the course");
+    assert.match(past.cards[1], /^Decision at 9\.0 s[^]*speed\s+\d+ km\/h/);
+    assert.doesNotMatch(past.cards[1], /ended/);
+    assert.match(past.difference, /speed –driven [+−±]\d+ movertakes so far \d+ to \d+ /);
+    assert.deepEqual(past.ended, [true, false]);
+    await keep(page, "past it");
+    assert.ok((await differing(page, "last frame", "past it")) > 0.2, "its picture looks as if it drove on");
+    const driven = await page.evaluate(() => window.replay.difference.distances[0].at(-1));
+    assert.ok(driven > 200);
+    await page.keyboard.press("End");
+    const end = await at(20);
+    assert.match(end.cards[1], /speed\s+\d+ km\/h[^]*The episode ended at 20\.0 s: collision\.$/);
+    assert.match(end.difference, /speed –/);
+    const back = await at(5);
+    assert.match(back.cards[0], /^Decision at 5\.0 s/);
+    assert.deepEqual(back.ended, [false, false]);
+  });
+});
+
+test("of two films all curves are on the page at 1280 x 800", async () => {
+  await withPage("two", {}, async (page) => {
+    await ready(page);
+    await drawn(page);
+    const below = await page.evaluate(() => [...document.querySelectorAll(".curve")].at(-1).getBoundingClientRect().bottom - innerHeight);
+    assert.match(await page.locator(".curve p").last().textContent(), /^judge’s score/);
+    assert.ok(below <= 0, `the last curve ends ${below} px below the window`);
+    assert.ok((await page.locator(".view").first().boundingBox()).height >= 160);
+  });
+});
+
+test("of a host that SUMO drives nothing is told that only our driver has", async () => {
+  await withPage("sumo", { hash: "#t=10" }, async (page) => {
+    await ready(page);
+    await drawn(page);
+    assert.equal(await page.textContent(".card h2"), "No decisions: SUMO’s own driver drives");
+    assert.equal(await page.locator(".figures .wide").first().textContent(), "The host is driven by SUMO, which chooses its speed and lane.");
+    assert.match(await page.textContent(".figures"), /set speednone/);
+    assert.deepEqual(await page.locator(".curve p").first().locator("span").allTextContents(), ["speed", "limit"]);
+  });
+});
+
+test("whom the rays end on does not depend on what the view shows", async () => {
+  await withPage("one", {}, async (page) => {
+    await ready(page);
+    const counts = await page.evaluate(() => {
+      const { replay } = window;
+      const [stage] = replay.stages;
+      const { scale } = stage.camera;
+      const sensed = (elapsed, look) => {
+        Object.assign(replay.options, { follows: look.follows });
+        Object.assign(stage.camera, look);
+        stage.draw(elapsed);
+        return stage.sensed.size;
+      };
+      return Array.from({ length: 60 }, (_, k) => 5 * k).map((elapsed) => [
+        sensed(elapsed, { follows: true, scale }),
+        sensed(elapsed, { follows: true, scale: 40 }),
+        sensed(elapsed, { follows: false, scale, x: stage.camera.x + 200 }),
+      ]);
+    });
+    assert.ok(counts.filter(([count]) => count > 0).length > 10, "nobody is sensed");
+    for (const [usual, close, away] of counts) assert.deepEqual([close, away], [usual, usual]);
   });
 });
 

@@ -7,8 +7,8 @@ import { test } from "node:test";
 import { bucketsOf, bytesOf, forEachPresent, inflate, opened, spanAt, summed, summedTwice, varints } from "../../rail_sumo/pictures/replay/decode.js";
 import { beside } from "../../rail_sumo/pictures/replay/road.js";
 import { Camera } from "../../rail_sumo/pictures/replay/camera.js";
-import { clock, outcome, signed, tick } from "../../rail_sumo/pictures/replay/words.js";
-import { clockBase, countUntil, decisionAt, frameAt, letterAt, linkedMoment, momentsOf, neighbour, overtakesOf } from "../../rail_sumo/pictures/replay/timeline.js";
+import { clock, ending, outcome, signed, tick } from "../../rail_sumo/pictures/replay/words.js";
+import { clockBase, countUntil, decisionAt, frameAt, hasEnded, letterAt, linkedMoment, momentsOf, neighbour, overtakesOf } from "../../rail_sumo/pictures/replay/timeline.js";
 import { commandOf } from "../../rail_sumo/pictures/replay/controls.js";
 import { drivenDistance, poseInSpan, poseOf, turned } from "../../rail_sumo/pictures/replay/motion.js";
 import { rangeOf } from "../../rail_sumo/pictures/replay/curves.js";
@@ -109,6 +109,13 @@ test("a frame's moment is that frame exactly, and none is outside the film", () 
   const ten = { stepS: 0.1, nFrames: 101 };
   for (let frame = 0; frame <= 100; frame += 1) assert.equal(frameAt(ten, frame * 0.1), frame);
   assert.deepEqual([-1, 99].map((elapsed) => frameAt(ten, elapsed)), [0, 100]);
+});
+
+test("a film has ended after its last frame, not on it", () => {
+  const short = { stepS: 0.1, nFrames: 4 };
+  assert.deepEqual([0, 3 * 0.1, 0.3, 0.31, 9].map((elapsed) => hasEnded(short, elapsed)), [false, false, false, true, true]);
+  assert.deepEqual(ending("end of road", "9.5 s"), ["The episode ended at 9.5 s", "end of the road"]);
+  assert.deepEqual(ending("", "9.5 s"), ["The film ends at 9.5 s"]);
 });
 
 test("the decision in force, and the marks before and after", () => {

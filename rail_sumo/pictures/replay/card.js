@@ -1,10 +1,12 @@
 // The card beside the road: the decision that is in force, and what the host and the assistance layer do.
 
-import { ACTION_LABELS, ACTION_SIGNS, clock, counted, holdingSentence, kmh, outcome } from "./words.js";
-import { decisionAt, frameAt } from "./timeline.js";
+import { ACTION_LABELS, ACTION_SIGNS, clock, counted, ending, holdingSentence, kmh, outcome } from "./words.js";
+import { decisionAt, durationOf, frameAt, hasEnded } from "./timeline.js";
 import { forEachPresent } from "./decode.js";
 import { poseOf } from "./motion.js";
 import { svgElement } from "./marks.js";
+
+const OVER = {}; // instead of a decision, once the film has ended
 
 function element(name, text = "", className = "") {
   const made = document.createElement(name);
@@ -32,20 +34,18 @@ export class Card {
     );
     this.decision = undefined;
     this.shown = "";
-    const isDriven = Boolean(this.film.driven);
-    root.querySelector(".choices").hidden = !isDriven;
-    this.outcome.hidden = !isDriven;
+    root.querySelector(".choices").hidden = !this.film.driven;
+    this.ending = ending(this.film.driven?.endReason, clock(page.base + durationOf(this.film), { long: page.long }));
   }
 
   show(elapsed) {
     const frame = frameAt(this.film, elapsed);
     const { driven } = this.film;
-    if (driven) {
-      const decision = decisionAt(driven.decisions, frame);
-      if (decision !== this.decision) this._showDecision(decision);
-    } else this.heading.textContent = this.film.name;
-    const entries = driven ? this._ofHost(frame) : this._ofAll(frame);
-    const who = this._ofChosen(frame);
+    const isOver = hasEnded(this.film, elapsed);
+    const decision = isOver ? OVER : decisionAt(driven?.decisions ?? [], frame);
+    if (decision !== this.decision) this._showDecision(decision);
+    const entries = isOver ? [] : driven ? this._ofHost(frame) : this._ofAll(frame);
+    const who = this._ofChosen(isOver ? null : frame);
     const text = JSON.stringify([entries, who]);
     if (text === this.shown) return; // most frames change nothing that is read
     this.shown = text;
@@ -61,10 +61,12 @@ export class Card {
 
   _showDecision(decision) {
     this.decision = decision;
-    if (!decision) {
-      const decides = this.film.driven.decisions.length > 0;
-      this.heading.textContent = decides ? "Before the first decision" : "No decisions: SUMO’s own driver drives";
-      this.outcome.textContent = "";
+    this.outcome.hidden = !this.film.driven && decision !== OVER;
+    this.root.classList.toggle("over", decision === OVER);
+    this.outcome.classList.toggle("refused", Boolean(decision?.why));
+    if (!decision || decision === OVER) {
+      this.heading.textContent = decision ? this.film.name : this._withoutDecision();
+      this.outcome.textContent = decision ? this.ending.join(": ") : "";
       this.choices.replaceChildren();
       return;
     }
@@ -72,7 +74,6 @@ export class Card {
     this.heading.textContent = `Decision at ${clock(base + decision.frame * this.film.stepS, { long })}`;
     const [asked, ...rest] = outcome(decision).split(":");
     this.outcome.replaceChildren(element("b", asked), `:${rest.join(":")}`);
-    this.outcome.classList.toggle("refused", Boolean(decision.why));
     const rows = this.actions.map((action, k) => this._choice(decision, action, k));
     if (decision.judged !== null) {
       const row = document.createElement("tr");
@@ -81,6 +82,13 @@ export class Card {
       rows.push(row);
     }
     this.choices.replaceChildren(...rows);
+  }
+
+  _withoutDecision() {
+    const { driven, name } = this.film;
+    if (!driven) return name;
+    if (driven.decisions.length) return "Before the first decision";
+    return driven.holding.every((what) => what === "SUMO") ? "No decisions: SUMO’s own driver drives" : "No decisions";
   }
 
   _choice(decision, action, k) {
@@ -110,12 +118,14 @@ export class Card {
     const whole = Math.floor(frame);
     const pose = poseOf(this.film, driven.vehicle, frame);
     const gap = driven.gapM[whole];
+    const isLast = frame === this.film.nFrames - 1;
     return [
       [pose ? `The host ${holdingSentence(driven.holding[whole])}.` : "The host is not on the road."],
       ["speed", pose ? kmh(pose.speed) : "–"],
-      ["set speed", Number.isFinite(driven.setMps[whole]) ? kmh(driven.setMps[whole]) : "–"],
+      ["set speed", Number.isFinite(driven.setMps[whole]) ? kmh(driven.setMps[whole]) : "none"],
       ["limit", kmh(driven.limitMps[whole])],
       ["gap ahead", Number.isFinite(gap) ? `${gap.toFixed(1)} m` : "nobody in sight"],
+      ...(isLast && driven.endReason ? [[`${this.ending.join(": ")}.`]] : []),
     ];
   }
 
@@ -135,13 +145,14 @@ export class Card {
     ];
   }
 
+  /** Whom the view follows; without a frame, less what it does now. */
   _ofChosen(frame) {
     const { target, host } = this.stage;
     if (target === null) return "Click a vehicle to follow it.";
     if (target === host) return "";
     const { id, vclass, lengthM } = this.film.vehicles[target];
-    const pose = poseOf(this.film, target, frame);
-    const now = pose ? kmh(pose.speed) : "not on the road";
-    return `Following ${id}: ${vclass}, ${lengthM.toFixed(1)} m long, ${now}.`;
+    const pose = frame === null ? null : poseOf(this.film, target, frame);
+    const now = pose ? kmh(pose.speed) : frame === null ? null : "not on the road";
+    return `Following ${id}: ${[vclass, `${lengthM.toFixed(1)} m long`, now].filter(Boolean).join(", ")}.`;
   }
 }

@@ -7,7 +7,9 @@ import { forEachPresent } from "./decode.js";
 import { speedsOf } from "./motion.js";
 
 const ROWS = ["left", "accelerate", "keep", "decelerate", "right"]; // from above
-const ROW_PX = 9;
+const [ROW_PX, LOW_ROW_PX] = [9, 8]; // the lower where two films share the page, so that all curves fit below them
+const [PLOT_PX, LOW_PLOT_PX, LOW_SPEED_PX, AXIS_PX] = [68, 46, 56, 22];
+const [APART_PX, LOW_APART_PX] = [22, 15]; // an axis's numbers, at least
 const TICKS_S = [0.1, 0.2, 0.5, 1, 2, 5, 10, 20, 30, 60, 120, 300, 600, 1200, 1800, 3600, 7200, 14400, 43200, 86400];
 const STEPPED = "stepped";
 
@@ -47,8 +49,8 @@ export function panelsOf(films, chosen) {
     const { driven } = film;
     if (driven) {
       speed.series.push({ film, label: named(film, "speed"), colour: colour(film), values: inKmh(speedsOf(film, driven.vehicle)) });
-      speed.series.push({ film, label: named(film, "set"), colour: colour(film), dash: [2, 3], width: 1.2, shape: STEPPED, values: inKmh(driven.setMps) });
-      if (!number) speed.series.push({ film, label: "limit", colour: "--limit", dash: [8, 4], width: 1.2, shape: STEPPED, values: inKmh(driven.limitMps) });
+      if (driven.setMps.some(Number.isFinite)) speed.series.push({ film, label: named(film, "set"), colour: colour(film), dash: [2, 3], width: 1.2, shape: STEPPED, values: inKmh(driven.setMps) });
+      if (!number) speed.series.push({ film, label: named(film, "limit"), colour: "--limit", dash: [8, 4], width: 1.2, shape: STEPPED, values: inKmh(driven.limitMps) });
       gap.series.push({ film, label: named(film, "gap"), colour: colour(film), values: driven.gapM });
       if (driven.decisions.some((decision) => decision.judged !== null)) {
         const values = new Float64Array(film.nFrames).fill(NaN);
@@ -130,7 +132,8 @@ export class Curves {
     const { base, duration, films, long } = this.page;
     const [soft, hair] = [colourOf("--soft"), colourOf("--hair")];
     const axis = { stroke: soft, font: "11px system-ui, sans-serif", grid: { stroke: hair, width: 1 }, ticks: { show: false } };
-    const height = isLast ? 90 : 68;
+    const isLow = films.length > 1;
+    const height = (!isLow ? PLOT_PX : panel.from === null ? LOW_SPEED_PX : LOW_PLOT_PX) + (isLast ? AXIS_PX : 0);
     const plot = new uPlot(
       {
         width: Math.max(this.element.clientWidth, 100),
@@ -143,8 +146,8 @@ export class Curves {
           y: { range: (_, lowest, highest) => rangeOf(panel, lowest, highest) },
         },
         axes: [
-          { ...axis, show: isLast, size: 22, gap: 2, grid: { show: false }, space: 64, incrs: TICKS_S, values: (_, splits) => splits.map((split) => (long && split > base + 0.96 * duration ? "" : tick(split, { long }))) },
-          { ...axis, size: left, gap: 6, space: 22, splits: panel.to ? () => [0, 0.5, 1] : undefined },
+          { ...axis, show: isLast, size: AXIS_PX, gap: 2, grid: { show: false }, space: 64, incrs: TICKS_S, values: (_, splits) => splits.map((split) => (long && split > base + 0.96 * duration ? "" : tick(split, { long }))) },
+          { ...axis, size: left, gap: 6, space: isLow ? LOW_APART_PX : APART_PX, splits: panel.to ? () => [0, 0.5, 1] : undefined },
         ],
         series: [
           {},
@@ -192,7 +195,8 @@ export class Curves {
   _drawStrip({ canvas, film }, width) {
     const ratio = window.devicePixelRatio || 1;
     const [left, right] = this._gutters();
-    const height = ROWS.length * ROW_PX + 4;
+    const rowPx = this.page.films.length > 1 ? LOW_ROW_PX : ROW_PX;
+    const height = ROWS.length * rowPx + 4;
     [canvas.width, canvas.height] = [Math.round(width * ratio), Math.round(height * ratio)];
     canvas.style.height = `${height}px`;
     const context = canvas.getContext("2d");
@@ -202,11 +206,11 @@ export class Curves {
     context.textBaseline = "middle";
     const unit = (width - left - right) / Math.max(this.page.duration, 1e-3);
     ROWS.forEach((action, row) => {
-      const top = 2 + row * ROW_PX;
+      const top = 2 + row * rowPx;
       context.fillStyle = colourOf("--soft");
-      context.fillText(ACTION_LABELS[action], left - 8, top + ROW_PX / 2);
+      context.fillText(ACTION_LABELS[action], left - 8, top + rowPx / 2);
       context.fillStyle = colourOf("--hair");
-      context.fillRect(left, top + ROW_PX / 2, width - left - right, 0.5);
+      context.fillRect(left, top + rowPx / 2, width - left - right, 0.5);
     });
     const { decisions } = film.driven;
     const [colour, refused] = [colourOf(this.page.films.indexOf(film) ? "--second" : "--first"), colourOf("--mark-refused")];
@@ -214,15 +218,15 @@ export class Curves {
       const from = left + decision.frame * film.stepS * unit;
       const until = left + (decisions[k + 1]?.frame ?? film.nFrames - 1) * film.stepS * unit;
       const wide = Math.max(Math.min(until - from - 0.6, 14), 1.6);
-      const top = 2 + ROWS.indexOf(decision.asked) * ROW_PX + 1.5;
+      const top = 2 + ROWS.indexOf(decision.asked) * rowPx + 1.5;
       if (decision.why) {
         context.strokeStyle = refused;
         context.lineWidth = 1;
-        context.strokeRect(from + 0.5, top + 0.5, Math.max(wide - 1, 2), ROW_PX - 4);
+        context.strokeRect(from + 0.5, top + 0.5, Math.max(wide - 1, 2), rowPx - 4);
       } else {
         context.fillStyle = colour;
         context.globalAlpha = decision.asked === "keep" ? 0.45 : 1;
-        context.fillRect(from, top, wide, ROW_PX - 3);
+        context.fillRect(from, top, wide, rowPx - 3);
         context.globalAlpha = 1;
       }
     });

@@ -176,6 +176,7 @@ function drivenOf(header, stream, head) {
       probabilities: probabilities.map((share) => share * quanta.probability),
       judged: judged === null ? null : judged * quanta.probability,
     })),
+    endReason: driven.end_reason,
     marks: driven.marks.map(([frame, kind, text]) => ({ frame, kind, text })),
   };
 }

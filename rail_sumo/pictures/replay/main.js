@@ -1,19 +1,19 @@
 // Unpacks the films, owns the clock, and lets everything be drawn.
 
-import { PALETTES } from "./colours.js";
 import { Card } from "./card.js";
 import { Curves } from "./curves.js";
+import { Difference } from "./difference.js";
 import { FORMAT, Unfit, bytesOf, filmOf, groundOf, inflate } from "./decode.js";
+import { Link } from "./link.js";
 import { Road } from "./road.js";
 import { Stage } from "./stage.js";
 import { Timeline } from "./marks.js";
-import { KMH, MARKS, clock, kmh, signed } from "./words.js";
-import { canRecord, compose, offer, recorderOf, savePicture } from "./save.js";
-import { clockBase, countUntil, durationOf, frameAt, linkedMoment, momentsOf, neighbour, overtakesOf } from "./timeline.js";
-import { drivenDistance, poseOf } from "./motion.js";
+import { KMH, MARKS, clock } from "./words.js";
+import { Saver, canRecord } from "./save.js";
+import { clockBase, durationOf, linkedMoment, momentsOf, neighbour } from "./timeline.js";
 import { listen } from "./controls.js";
+import { presentPalette, switchTheme, watchTheme } from "./theme.js";
 
-const LINK_EVERY_MS = 1000;
 const LONG_CLOCK_S = 3600; // from here on the clock shows hours and minutes
 const LONGEST_STEP_S = 0.25; // a page that was in the background goes on where it was
 
@@ -39,15 +39,12 @@ class Page {
     this.elapsed = 0;
     this.playing = false;
     this.rate = 1;
-    this.recorder = null;
-    this.composed = document.createElement("canvas");
+    this.saver = new Saver(this);
+    this.link = new Link(() => this.base + this.elapsed);
     const hasHost = films.some((film) => film.driven);
-    this.options = { follows: hasHost, rays: true, names: !hasHost, palette: PALETTES.light, topMps: topSpeed(films) };
-    this.distances = films.map((film) => (film.driven ? drivenDistance(film, film.driven.vehicle) : null));
-    this.passes = films.map((film) => overtakesOf(film.driven?.marks ?? []));
+    this.options = { follows: hasHost, rays: true, names: !hasHost, palette: presentPalette(), topMps: topSpeed(films) };
     this._build(hasHost);
     listen((name, value) => this.act(name, value));
-    this._readTheme();
     this._watch();
   }
 
@@ -66,6 +63,7 @@ class Page {
     byId("record").hidden = !canRecord();
     byId("rays").hidden = !hasHost;
     byId("difference").hidden = films.length < 2;
+    this.difference = films.length > 1 ? new Difference(byId("difference"), films) : null;
     const hasDecisions = films.some((film) => film.driven?.decisions.length);
     for (const id of ["previous-decision", "next-decision"]) byId(id).hidden = !hasDecisions;
     const hasMarks = films.some((film) => film.driven?.marks.length);
@@ -87,7 +85,8 @@ class Page {
     figure.querySelector("canvas").setAttribute("aria-label", `The road from above: ${film.name}`);
     figure.querySelector(".legend .top").textContent = `${(this.options.topMps * KMH).toFixed(0)} km/h`;
     byId("stages").append(figure);
-    const stage = new Stage(view, film, road, this.options, (change) => this._moved(change));
+    const endLabel = `Ended at ${clock(this.base + durationOf(film), { long: this.long })}`;
+    const stage = new Stage(view, film, road, this.options, endLabel, (change) => this._moved(change));
     const card = byId("card-template").content.cloneNode(true).firstElementChild;
     (this.films.length > 1 ? figure : byId("cards")).append(card);
     stage.card = new Card(card, stage, this.head.actions, this);
@@ -135,7 +134,7 @@ class Page {
       seek: () => this.seek(value),
       zoom: () => this._moved({ stage: this.stages[0], zoom: value }),
       whole: () => this._whole(),
-      picture: () => savePicture(this._composed(), this._fileName("png")),
+      picture: () => this.saver.picture(),
       record: () => this._record(),
       theme: () => this._switchTheme(),
       help: () => (byId("keys").open ? byId("keys").close() : byId("keys").showModal()),
@@ -147,8 +146,8 @@ class Page {
 
   seek(elapsed) {
     this.elapsed = this._within(elapsed);
-    this._link();
     this.invalidate();
+    this.link.follow();
   }
 
   _within(elapsed) {
@@ -160,7 +159,7 @@ class Page {
       this.playing = !this.playing;
       if (this.playing && this.elapsed >= this.duration) this.elapsed = 0;
       this.before = null;
-      if (!this.playing) this._link();
+      if (!this.playing) this.link.follow();
     } else if (what === "follows") {
       this.options.follows = !this.options.follows;
       if (this.options.follows) this.stages.forEach((stage) => (stage.target ??= stage.host));
@@ -227,13 +226,12 @@ class Page {
     if (this.before !== null) {
       const step = Math.min((now - this.before) / 1000, LONGEST_STEP_S);
       this.elapsed = this._within(this.elapsed + step * this.rate);
-      if (now - (this.linked ?? 0) > LINK_EVERY_MS) this._link(now);
+      this.link.follow();
     }
     this.before = now;
     if (this.elapsed < this.duration) return;
     this.playing = false;
-    if (this.recorder) this._record();
-    this._link();
+    this.saver.stop();
     this._showControls();
   }
 
@@ -247,8 +245,8 @@ class Page {
     const share = this.duration ? elapsed / this.duration : 0;
     byId("playhead").style.transform = `translateX(${(share * byId("track").clientWidth).toFixed(2)}px)`;
     this._showClock();
-    if (this.films.length > 1) this._showDifference();
-    if (this.recorder) this._composed();
+    this.difference?.show(elapsed);
+    this.saver.drawn();
   }
 
   _showClock() {
@@ -260,94 +258,38 @@ class Page {
     byId("clock").replaceChildren(text, of);
   }
 
-  _showDifference() {
-    const now = this.films.map((film, number) => {
-      const frame = frameAt(film, this.elapsed);
-      const pose = film.driven ? poseOf(film, film.driven.vehicle, frame) : null;
-      const driven = this.distances[number];
-      return { speed: pose?.speed ?? NaN, driven: driven ? driven[Math.floor(frame)] : NaN, passed: countUntil(this.passes[number], frame) };
-    });
-    const [a, b] = now;
-    const pieces = [
-      ["speed", Number.isFinite(b.speed - a.speed) ? `${signed((b.speed - a.speed) * KMH)} km/h` : "–"],
-      ["driven", Number.isFinite(b.driven - a.driven) ? `${signed(b.driven - a.driven)} m` : "–"],
-      ["overtakes so far", `${b.passed} to ${a.passed} (${signed(b.passed - a.passed)})`],
-    ];
-    const text = JSON.stringify(pieces);
-    if (text === this.differenceText) return;
-    this.differenceText = text;
-    const lead = document.createElement("span");
-    lead.textContent = "B compared with A:";
-    byId("difference").replaceChildren(
-      lead,
-      ...pieces.map(([what, value]) => {
-        const piece = document.createElement("span");
-        const strong = document.createElement("b");
-        strong.textContent = value;
-        piece.append(`${what} `, strong);
-        return piece;
-      }),
-    );
-  }
-
   _showControls() {
     byId("app").classList.toggle("playing", this.playing);
     byId("play").setAttribute("aria-label", this.playing ? "Pause (Space)" : "Play (Space)");
-    for (const [id, on] of [["follow", this.options.follows], ["rays", this.options.rays], ["names", this.options.names], ["record", Boolean(this.recorder)]]) {
+    for (const [id, on] of [["follow", this.options.follows], ["rays", this.options.rays], ["names", this.options.names], ["record", this.saver.isRecording]]) {
       byId(id).setAttribute("aria-pressed", String(on));
     }
-    byId("record").textContent = this.recorder ? "Stop" : "WebM";
+    byId("record").textContent = this.saver.isRecording ? "Stop" : "WebM";
     byId("rate").value = String(this.rate);
   }
 
-  _link(now = performance.now()) {
-    this.linked = now;
-    history.replaceState(null, "", `#t=${(this.base + this.elapsed).toFixed(1)}`);
-  }
-
-  _fileName(ending) {
-    const plain = this.head.title.normalize("NFKD").replace(/[^\w-]+/g, "-").replace(/^-+|-+$/g, "") || "replay";
-    return `${plain}-${(this.base + this.elapsed).toFixed(1)}s.${ending}`;
-  }
-
-  _composed() {
-    const captions = this.films.map((film, number) => {
-      const pose = poseOf(film, this.stages[number].target, frameAt(film, this.elapsed));
-      return [film.name, clock(this.base + this.elapsed, { long: this.long }), pose && kmh(pose.speed)].filter(Boolean).join("   ");
-    });
-    return compose(this.composed, this.stages, captions, this.options.palette);
-  }
-
   _record() {
-    if (this.recorder) {
-      this.recorder.stop();
-      this.recorder = null;
+    if (this.saver.isRecording) {
+      this.saver.stop();
       return;
     }
-    const name = this._fileName("webm");
-    this.recorder = recorderOf(this._composed(), (blob) => offer(blob, name));
+    this.saver.record();
     if (!this.playing) this._toggle("playing");
   }
 
-  _isDark() {
-    const { theme } = document.documentElement.dataset;
-    return theme ? theme === "dark" : matchMedia("(prefers-color-scheme: dark)").matches;
+  _switchTheme() {
+    switchTheme();
+    this._readTheme();
   }
 
   _readTheme() {
-    this.options.palette = this._isDark() ? PALETTES.dark : PALETTES.light;
-  }
-
-  _switchTheme() {
-    document.documentElement.dataset.theme = this._isDark() ? "light" : "dark";
-    this._readTheme();
+    this.options.palette = presentPalette();
     this.curves.build();
   }
 
   _watch() {
-    matchMedia("(prefers-color-scheme: dark)").addEventListener("change", () => {
+    watchTheme(() => {
       this._readTheme();
-      this.curves.build();
       this.invalidate();
     });
     addEventListener("hashchange", () => {
@@ -376,9 +318,17 @@ class Page {
       rays: this.options.rays,
       names: this.options.names,
       hiddenKinds: [...this.hidden],
-      recording: Boolean(this.recorder),
+      recording: this.saver.isRecording,
       firstFrameMs: this.firstFrameMs,
-      views: this.stages.map(({ camera, target, seen }) => ({ x: camera.x, y: camera.y, scale: camera.scale, target, drawn: seen.length })),
+      views: this.stages.map(({ camera, target, seen, sensed, ended }) => ({
+        x: camera.x,
+        y: camera.y,
+        scale: camera.scale,
+        target,
+        drawn: seen.length,
+        sensed: sensed.size,
+        ended,
+      })),
     };
   }
 }

@@ -2,28 +2,35 @@
 
 import { Camera } from "./camera.js";
 import { boxOf } from "./road.js";
-import { drawHits, drawNames, drawRays, drawSignals, drawVehicles, hitsOf, seenFrom, vehicleAt } from "./vehicles.js";
-import { frameAt } from "./timeline.js";
+import { drawHits, drawNames, drawRays, drawSignals, drawVehicles, everybodyAt, hitsOf, seenFrom, vehicleAt } from "./vehicles.js";
+import { frameAt, hasEnded } from "./timeline.js";
 import { poseOf } from "./motion.js";
 
 const STILL_PX = 5; // a press that moved less is a click
 const SPARE_M = 30; // who is outside the view by less is drawn: part of it may be inside
+const END_FADES = 0.55; // how much of the picture the ground's colour covers once the film has ended
 const AHEAD_OF_HOST = 0.14; // of the view: there is more to see ahead than behind
 
 export class Stage {
-  /** `options` is the page's: follows, rays, names, palette, topMps. `changed` is called after the view was moved. */
-  constructor(element, film, road, options, changed) {
+  /**
+   * `options` is the page's: follows, rays, names, palette, topMps. `endLabel` is written over the film's last frame
+   * once that is past. `changed` is called after the view was moved.
+   */
+  constructor(element, film, road, options, endLabel, changed) {
     this.element = element;
     this.canvas = element.querySelector("canvas");
     this.context = this.canvas.getContext("2d", { alpha: false });
     this.film = film;
     this.road = road;
     this.options = options;
+    this.endLabel = endLabel;
     this.changed = changed;
     this.camera = new Camera();
     this.host = film.driven ? film.driven.vehicle : null;
     this.target = this.host; // whom the camera follows
     this.seen = [];
+    this.sensed = new Set(); // on whom rays end
+    this.ended = false; // whether the film's last frame is past
     this.isMoved = false; // until then the view is fitted anew when the page's size changes
     this.pointers = new Map();
     this._listen();
@@ -77,15 +84,17 @@ export class Stage {
     const followed = this.target === null ? null : poseOf(film, this.target, frame);
     if (options.follows && followed) this._follow(followed);
     const { palette } = options;
-    const seen = seenFrom(film, frame, camera.view(SPARE_M));
-    const host = seen.find((pose) => pose.vehicle === this.host);
-    const hits = options.rays && host ? hitsOf(film, frame, host, seen.filter((pose) => pose !== host)) : [];
+    const everybody = everybodyAt(film, frame);
+    const seen = seenFrom(everybody, camera.view(SPARE_M));
+    const host = everybody.find((pose) => pose.vehicle === this.host);
+    const hits = options.rays && host ? hitsOf(film, frame, host, everybody) : [];
+    this.sensed = new Set(hits.filter((hit) => hit.on).map((hit) => hit.on.vehicle));
     const look = {
       palette,
       topMps: options.topMps,
       host: this.host,
       chosen: this.target === this.host ? null : this.target,
-      sensed: new Set(hits.filter((hit) => hit.on).map((hit) => hit.on.vehicle)),
+      sensed: this.sensed,
     };
     this.seen = seen;
     this.road.draw(context, camera, palette);
@@ -95,7 +104,26 @@ export class Stage {
     drawVehicles(context, camera, seen, look);
     drawHits(context, camera, palette, hits);
     if (options.names) drawNames(context, camera, seen, look);
+    this.ended = hasEnded(film, elapsed);
+    if (this.ended) this._drawEnd();
     this._drawScale();
+  }
+
+  _drawEnd() {
+    const { camera, context, endLabel } = this;
+    const { palette } = this.options;
+    context.fillStyle = palette.ground;
+    context.globalAlpha = END_FADES;
+    context.fillRect(0, 0, camera.width, camera.height);
+    context.globalAlpha = 1;
+    context.font = "600 14px system-ui, sans-serif";
+    context.textAlign = "center";
+    context.textBaseline = "middle";
+    const [middle, top, half] = [camera.width / 2, 0.28 * camera.height, context.measureText(endLabel).width / 2 + 10];
+    context.fillStyle = palette.ink;
+    context.fillRect(middle - half, top - 14, 2 * half, 28);
+    context.fillStyle = palette.ground;
+    context.fillText(endLabel, middle, top);
   }
 
   _follow(pose) {

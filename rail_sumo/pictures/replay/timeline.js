@@ -11,6 +11,13 @@ export function clockBase(films) {
   return films.every((film) => film.startS === films[0].startS) ? films[0].startS : 0;
 }
 
+const NO_TIME_S = 1e-6; // less than any step
+
+/** Whether a film's last frame is past: then `frameAt` still tells that one. */
+export function hasEnded(film, elapsed) {
+  return elapsed > durationOf(film) + NO_TIME_S;
+}
+
 /** The frame of a moment, with its fraction; never outside the film. */
 export function frameAt(film, elapsed) {
   const frame = elapsed / film.stepS;

@@ -15,17 +15,21 @@ const [DARK_GLASS, LIGHT_GLASS] = ["#20282d", "#dfe6ea"];
 const DARK_SHADES = 14; // of the shades, on which glass is light
 const LONG_M = 6.5; // from here on it has a cab
 
-/** Everybody in view at a frame with its fraction. */
-export function seenFrom(film, frame, view) {
-  const seen = [];
+/** Everybody at a frame with its fraction. */
+export function everybodyAt(film, frame) {
+  const poses = [];
   forEachPresent(film, Math.floor(frame), (span) => {
     const pose = poseInSpan(film, span, frame, {});
-    if (pose.x < view.left || pose.x > view.right || pose.y < view.bottom || pose.y > view.top) return;
     pose.vehicle = film.spans.vehicle[span];
     pose.size = film.vehicles[pose.vehicle];
-    seen.push(pose);
+    poses.push(pose);
   });
-  return seen;
+  return poses;
+}
+
+/** Who of them is in view. */
+export function seenFrom(poses, view) {
+  return poses.filter(({ x, y }) => x >= view.left && x <= view.right && y >= view.bottom && y <= view.top);
 }
 
 /** How far each ray reaches at a frame with its fraction, in metres. */
@@ -43,8 +47,10 @@ export function raysAt(film, frame) {
   });
 }
 
-/** Where the rays end: on whom, on a border, or on nothing. */
-export function hitsOf(film, frame, host, others) {
+/** Where the host's rays end: on whom, on a border, or on nothing. `poses` are everybody's, in view or not. */
+export function hitsOf(film, frame, host, poses) {
+  const reaches = (pose) => Math.hypot(pose.x - host.x, pose.y - host.y) <= film.driven.rangeM + pose.size.lengthM;
+  const others = poses.filter((pose) => pose.vehicle !== host.vehicle && reaches(pose));
   return Array.from(raysAt(film, frame), (reach, k) => {
     const angle = host.heading + (2 * Math.PI * k) / film.driven.nRays;
     const [x, y] = [host.x + reach * Math.cos(angle), host.y + reach * Math.sin(angle)];

@@ -22,7 +22,18 @@ const HOLDINGS = {
   signal: "stops for the signal",
   "right of way": "gives way",
   "lane end": "slows for the end of its lane",
-  SUMO: "drives as SUMO’s own car-following says",
+  SUMO: "is driven by SUMO, which chooses its speed and lane",
+};
+
+const ENDS = {
+  course: "end of the course",
+  duration: "its time was up",
+  collision: "collision",
+  "end of road": "end of the road",
+  standstill: "the host stood still for minutes",
+  "left the road": "the host left its road",
+  "not begun": "it could not begin",
+  "SUMO stopped": "SUMO stopped",
 };
 
 // Each kind has a shape of its own, so that colour only helps. Paths lie in a square from -6 to 6.
@@ -50,6 +61,11 @@ export function outcome(decision) {
 
 export function holdingSentence(holding) {
   return HOLDINGS[holding] ?? holding;
+}
+
+/** That and why an episode ended, in two parts such as "The episode ended at 9.5 s" and "end of the course". */
+export function ending(reason, when) {
+  return reason ? [`The episode ended at ${when}`, ENDS[reason] ?? reason] : [`The film ends at ${when}`];
 }
 
 export function kmh(mps) {
