@@ -128,7 +128,7 @@ class Network(ABC):
         return np.array([self.choose(self.outputs(*row)) for row in rows], dtype=np.int64)
 
     def probabilities(self, observation: Floats, allowed: Sequence[bool]) -> tuple[float, ...]:
-        """Return how probable each meta-action is, if it were sampled by its outputs."""
+        """Return how probable each meta-action is for one observation, shape (n_features,), if it were sampled."""
         outputs = self.outputs(observation, allowed)
         likelihoods = np.exp(outputs - outputs.max())
         return tuple((likelihoods / likelihoods.sum()).tolist())

@@ -377,8 +377,9 @@ def manifest(folder: Path, means: Mapping[str, float], seed: int) -> str:
         means: of the evaluation, by metric.
         seed: of everything random.
     """
+    kept = [path for path in sorted(folder.iterdir()) if path.is_file() and path.name != assets.MANIFEST]
     written = {
-        "files": {path.name: assets.sha256(path) for path in sorted(folder.iterdir()) if path.name != assets.MANIFEST},
+        "files": {path.name: assets.sha256(path) for path in kept},
         "seed": seed,
         **_versions(),
         "evaluation": {metric: round(mean, 3) for metric, mean in means.items() if math.isfinite(mean)},

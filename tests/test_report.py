@@ -299,3 +299,16 @@ def test_the_terminal_counts_the_episodes_with_a_contact():
     lines = printed(report.summary(report.episodes(rule)))
     assert "contacts" in " ".join(lines)
     assert lines[line_of("rule", lines)].split()[-1] == "2"
+
+
+@pytest.mark.parametrize(("least", "has_intervals"), [(100.0, True), (1e9, False)])
+def test_however_long_the_figures_are_the_contacts_are_shown(least, has_intervals):
+    driven = report.episodes(rows("runs/mine-first-try", [6.0, 195.5]) + rows("expert", [70.0, 171.0]))
+    for metric in ("speed_kmh", "overtakes", "lane_changes"):
+        driven[metric] = [least, 19.0 * least, 2.0 * least, 18.0 * least]
+    lines = printed(report.summary(driven))
+    assert max(map(len, lines)) <= 100
+    assert not any("…" in line for line in lines)
+    assert "contacts" in " ".join(lines)
+    assert lines[line_of("expert ", lines)].split()[-1] == "4"
+    assert ("±" in " ".join(lines)) == has_intervals

@@ -1,4 +1,5 @@
 import csv
+import json
 
 import pytest
 from tensorboard.backend.event_processing.event_accumulator import EventAccumulator
@@ -74,3 +75,14 @@ def test_without_tensorboard_the_user_is_told_what_to_install(tmp_path, monkeypa
     monkeypatch.setattr(tensorboard, "find_spec", lambda name: None)
     with pytest.raises(InputError, match=r"install it with: pip install 'rail-sumo\[tensorboard\]'"):
         tensorboard.Events(SILENT, tmp_path)
+
+
+def test_a_training_that_writes_event_files_comes_to_its_end(rail_sumo, tmp_path):
+    brief = ["train.iterations=1", "search.n_directions=2", "search.n_top=1", "train.trajectories=2"]
+    brief += ["train.horizon_s=5", "train.evaluation_episodes=1", "episode.duration_s=5"]
+    overrides = [word for one in brief for word in ("--set", one)]
+    code, _, err = rail_sumo("train", "--tensorboard", "--workers", "1", "--out", "run", *overrides)
+    assert (code, err) == (0, "")
+    manifest = json.loads((tmp_path / "run" / "manifest.json").read_text())
+    assert "policy.safetensors" in manifest["files"]
+    assert (tmp_path / "run" / "tensorboard").is_dir()

@@ -54,6 +54,7 @@ class Camera:
         self._decisions: list[Decision] = []
         self._asked = MetaAction.KEEP
         self._changes = self._reverses = False
+        self._aborted = 0
         self._contacts = (0, 0)
         self._start_s = env.scene.time_s - SECONDS_PER_STEP  # by which SUMO's outputs call what is there now
         env.watch(self._shoot)
@@ -140,9 +141,10 @@ class Camera:
             side = agent.adas.side
             text = "" if side is None else "to the left" if side == LEFT else "to the right"
             self._marks.append(Mark(now, "lane change" if is_own or side is None else "lane end", text))
-        if reverses and not self._reverses:
+        ended_as_it_began = agent.adas.aborted_lane_changes > self._aborted and not self._reverses
+        if (reverses and not self._reverses) or ended_as_it_began:
             self._marks.append(Mark(now, "reversed"))
-        self._changes, self._reverses = changes, reverses
+        self._changes, self._reverses, self._aborted = changes, reverses, agent.adas.aborted_lane_changes
         contacts = agent.host.collisions, agent.host.struck
         if contacts[0] > self._contacts[0]:
             self._marks.append(Mark(now, "collision"))

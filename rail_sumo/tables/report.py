@@ -1,5 +1,6 @@
 """Rows -> tables with intervals: CSV and Parquet with the same content, and a table for the terminal."""
 
+import io
 from collections.abc import Iterable
 from pathlib import Path
 from typing import Any
@@ -7,6 +8,7 @@ from typing import Any
 import numpy as np
 import pandas as pd
 from rich.box import SIMPLE_HEAD
+from rich.console import Console
 from rich.markup import escape
 from rich.table import Table
 
@@ -133,9 +135,10 @@ _TOLD = {
     "over-\ntaken": ("overtaken", 1),
     "hard\nbrakings": ("hard_brakings", 2),
 }
-_TOLD_IF_WIDE = 2  # the last so many of these
 WIDE = 100
-"""How many columns the whole table takes."""
+"""How many columns the whole table takes, if its figures are not too long."""
+NAME_WIDTH = 14
+"""Names of policies that are longer are folded."""
 
 
 def table(summary: pd.DataFrame, *, width: int = WIDE) -> Table:
@@ -146,28 +149,50 @@ def table(summary: pd.DataFrame, *, width: int = WIDE) -> Table:
 
     Args:
         summary: the `summary` table.
-        width: of the terminal; narrower than `WIDE`, it is shown less.
+        width: of the terminal; where the table does not fit, the last columns before the contacts are left out, then
+            the intervals.
     """
-    told = dict(list(_TOLD.items())[: None if width >= WIDE else -_TOLD_IF_WIDE])
+    fewer = [(dict(list(_TOLD.items())[:n]), True) for n in range(len(_TOLD), -1, -1)]
+    for told, has_intervals in (*fewer, ({}, False)):
+        shown = _table(summary, told, has_intervals=has_intervals)
+        if _width(shown, summary["policy"]) <= width:
+            break
+    return shown
+
+
+def _width(shown: Table, policies: "pd.Series[str]") -> int:
+    """Return how many columns a table takes, with its policies' names folded as far as they may be."""
+    wide = Console(width=1000, file=io.StringIO())
+    with wide.capture() as text:
+        wide.print(shown)
+    taken = max(len(line.rstrip()) for line in text.get().splitlines())
+    longest = int(policies.str.len().max())
+    return taken - max(0, longest - NAME_WIDTH)
+
+
+def _table(summary: pd.DataFrame, told: dict[str, tuple[str, int]], *, has_intervals: bool) -> Table:
     policies, reference = summary["policy"].unique(), summary["reference"].iloc[0]
     by_metric = summary.set_index(["policy", "metric"])
     n = by_metric["episodes"].max()
     left_out = n - by_metric.xs("speed_kmh", level="metric")["episodes"]
     compared = reference in policies and len(policies) > 1
-    episodes = f"means over {n} episodes ± 95 % interval" if n > 1 else "one episode: no interval"
+    episodes = f"means over {n} episodes{' ± 95 % interval' * has_intervals}" if n > 1 else "one episode: no interval"
     below = f"; below, ratios to {escape(reference)}" if compared else ""
     fewer = "; ".join(f"{escape(str(name))}: {few} fewer" for name, few in left_out[left_out > 0].items())
     shown = Table(box=SIMPLE_HEAD, caption=episodes + below + (f" ({fewer})" if fewer else ""))
-    shown.add_column("policy", overflow="fold", min_width=14)
+    shown.add_column("policy", overflow="fold", min_width=NAME_WIDTH)
     for heading in (*_COMPARED, *told, "contacts"):
         shown.add_column(heading, justify="right", no_wrap=True)
     for policy in policies:
         cells = []
         for metric, decimals in _COMPARED.values():
             row = by_metric.loc[(policy, metric)]
-            cell = _with_interval(row["mean"], row["low"], row["high"], decimals)
-            if compared and policy != reference and np.isfinite(row["ratio"]):
-                cell += f"\n[dim]{_with_interval(row['ratio'], row['ratio_low'], row['ratio_high'], 2)}[/]"
+            mean, ratio = (row["mean"], row["low"], row["high"]), (row["ratio"], row["ratio_low"], row["ratio_high"])
+            if not has_intervals:
+                mean, ratio = (mean[0], np.nan, np.nan), (ratio[0], np.nan, np.nan)
+            cell = _with_interval(*mean, decimals)
+            if compared and policy != reference and np.isfinite(ratio[0]):
+                cell += f"\n[dim]{_with_interval(*ratio, 2)}[/]"
             cells.append(cell)
         cells += [f"{by_metric.loc[(policy, metric), 'mean']:.{decimals}f}" for metric, decimals in told.values()]
         contacts = sum(by_metric.loc[(policy, metric), "mean"] for metric in CONTACTS) * n

@@ -1,5 +1,6 @@
 // The timeline: marks in rows, one a film, a rail that may be dragged, and buttons that leave kinds of marks out.
 
+import { timesOf } from "./timeline.js";
 import { MARKS, clock, counted } from "./words.js";
 
 const SVG = "http://www.w3.org/2000/svg";
@@ -58,7 +59,7 @@ export class Timeline {
 
   _filters(filters) {
     const counts = new Map();
-    for (const { marks } of this.rows) for (const { mark } of marks) counts.set(mark.kind, (counts.get(mark.kind) ?? 0) + 1);
+    for (const { marks } of this.rows) for (const { mark } of marks) counts.set(mark.kind, (counts.get(mark.kind) ?? 0) + timesOf(mark));
     filters.hidden = counts.size === 0;
     for (const kind of Object.keys(MARKS).filter((known) => counts.has(known))) {
       const button = document.createElement("button");

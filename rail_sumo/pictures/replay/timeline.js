@@ -57,10 +57,14 @@ export function neighbour(moments, elapsed, direction) {
   return moments.findLast((moment) => moment < elapsed - AS_GOOD_AS_THERE_S) ?? null;
 }
 
-/** The overtakes among marks, each vehicle's one entry: a mark of several at once says how many they were. */
+/** How often what a mark stands for happened: a mark of several overtakes at once says how many they were. */
+export function timesOf({ text }) {
+  return /^\d+$/.test(text) ? Number(text) : 1;
+}
+
+/** The overtakes among marks, each vehicle's one entry. */
 export function overtakesOf(marks) {
-  const several = ({ text }) => (/^\d+$/.test(text) ? Number(text) : 1);
-  return marks.filter(({ kind }) => kind === "overtake").flatMap((mark) => Array(several(mark)).fill(mark));
+  return marks.filter(({ kind }) => kind === "overtake").flatMap((mark) => Array(timesOf(mark)).fill(mark));
 }
 
 /** SUMO's letter at a frame, from the list of changes; "" before the first. */

@@ -2,7 +2,7 @@
 
 export const KMH = 3.6;
 
-export const ACTION_LABELS = { keep: "keep", accelerate: "faster", decelerate: "slower", left: "left", right: "right" };
+export const ACTION_LABELS = { keep: "keep", accelerate: "accelerate", decelerate: "decelerate", left: "left", right: "right" };
 export const ACTION_SIGNS = { keep: "=", accelerate: "+", decelerate: "−", left: "↰", right: "↱" };
 
 const REFUSALS = {
@@ -38,7 +38,7 @@ const ENDS = {
 
 // Each kind has a shape of its own, so that colour only helps. Paths lie in a square from -6 to 6.
 export const MARKS = {
-  "lane change": { label: "lane change", path: "M0-5 5 4H-5Z", colour: "--mark-change" },
+  "lane change": { label: "lane change begun", path: "M0-5 5 4H-5Z", colour: "--mark-change" },
   refused: { label: "refused", path: "M-4-4 4 4M4-4-4 4", colour: "--mark-refused", line: true },
   reversed: { label: "reversed", path: "M0 5 5-4H-5Z", colour: "--mark-refused" },
   "hard braking": { label: "hard braking", path: "M-4-4.5H4V4.5H-4Z", colour: "--mark-danger" },
