@@ -351,17 +351,17 @@ def _require_folder(policy: Path) -> None:
         RunDirectory(policy)
 
 
-def describe(folder: Path, world: Config, command: str, *, seed: int) -> None:
-    """Write beside an evaluation's tables what made them: the command, the world, the seed and the versions.
+def describe(folder: Path, world: Config, command: str, *, seed: int | None = None) -> None:
+    """Write beside tables what made them: the command, the world, the seed and the versions.
 
     Args:
         folder: of the tables.
         world: where was driven.
         command: what was typed.
-        seed: of the traffic.
+        seed: of the traffic, where it is one.
     """
     (folder / report.WORLD).write_text(dumps(world), encoding="utf-8")
-    about = {"command": command, "seed": seed, **_versions()}
+    about = {"command": command, **({} if seed is None else {"seed": seed}), **_versions()}
     (folder / report.ORIGIN).write_text(json.dumps(about, indent=2) + "\n", encoding="utf-8")
 
 

@@ -3,7 +3,7 @@
 import libsumo
 import pandas as pd
 import pytest
-from driving import KEEP, always, drive, world
+from driving import ACCELERATE, KEEP, always, drive, world
 
 from rail_sumo import assets, run
 from rail_sumo.errors import InputError
@@ -187,3 +187,12 @@ def test_the_host_is_never_teleported(make, tmp_path):
         env.drive(KEEP)
     assert "late0" not in libsumo.vehicle.getIDList()  # it had no other edge to go on with
     assert 350.0 < libsumo.vehicle.getLanePosition("late1") < 400.0
+
+
+@pytest.mark.parametrize("own_mps", [14.0, 50.0])
+def test_a_car_that_is_replaced_drives_no_faster_than_it_can_itself(make, tmp_path, own_mps):
+    kind = f'<vType id="own" maxSpeed="{own_mps}"/>'
+    car = f'{kind}<vehicle id="v" type="own" depart="5"><route edges="highway"/></vehicle>'
+    env = make(on_highway3(demand(tmp_path, car) | {"host": "v"}))
+    fastest_mps = drive(env, always(ACCELERATE)).speed_mps.max()
+    assert fastest_mps == pytest.approx(min(own_mps, 80.0 / 3.6), abs=0.05)

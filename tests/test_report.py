@@ -312,3 +312,16 @@ def test_however_long_the_figures_are_the_contacts_are_shown(least, has_interval
     assert "contacts" in " ".join(lines)
     assert lines[line_of("expert ", lines)].split()[-1] == "4"
     assert ("±" in " ".join(lines)) == has_intervals
+
+
+@pytest.mark.parametrize(
+    ("policies", "reference"),
+    [
+        (["rule", "expert", "sumo"], "expert"),
+        (["road-rail", "road-expert", "sumo"], "road-expert"),
+        (["road-rail", "sumo"], "sumo"),
+        (["rule"], "expert"),
+    ],
+)
+def test_whom_ratios_refer_to_where_nobody_is_named(policies, reference):
+    assert report.reference_among(policies) == reference

@@ -2,6 +2,7 @@
 
 import json
 import math
+from dataclasses import replace
 
 import numpy as np
 import pandas as pd
@@ -77,11 +78,26 @@ def test_one_and_two_workers_write_the_same_and_what_is_missing_is_driven_again(
     assert driven == set(cells[:2])
 
 
-def test_what_is_there_of_another_world_or_period_is_driven_again(world, tmp_path):
-    first = small(world, tmp_path / "out", drivers=("acc",), shares=(1.0,), seeds=1).drive()
+def test_runs_of_another_world_or_period_are_kept_and_told_of(world, tmp_path):
+    first = small(world, tmp_path / "out", drivers=("acc",), shares=(1.0,), seeds=1)
+    first.drive()
+    kept = {file: file.read_bytes() for file in (tmp_path / "out").rglob("*.*")}
     other = config_file.changed(world, ["network.limit_factor=0.5"])
-    again = small(other, tmp_path / "out", drivers=("acc",), shares=(1.0,), seeds=1).drive()
-    assert (again.traffic["speed_kmh"].dropna() < 0.7 * first.traffic["speed_kmh"].dropna().max()).all()
+    with pytest.raises(InputError, match=r"were driven with network.limit_factor = 1.0, not 0.5; choose another --out"):
+        replace(first, config=other).drive()
+    with pytest.raises(InputError, match=r"were driven with \d+ s after \d+ s of warm-up, not 33 after"):
+        replace(first, duration_s=33.0).drive()
+    assert {file: file.read_bytes() for file in (tmp_path / "out").rglob("*.*")} == kept
+
+
+def test_a_sweep_is_not_written_over_an_evaluation_or_a_run(world, tmp_path):
+    for name in ("episodes.parquet", "config.toml"):
+        out = tmp_path / name.partition(".")[0]
+        out.mkdir()
+        (out / name).write_text("mine")
+        with pytest.raises(InputError, match="holds a run or an evaluation"):
+            small(world, out, drivers=("acc",), shares=(1.0,), seeds=1).drive()
+        assert [path.name for path in out.iterdir()] == [name]
 
 
 def test_the_table_has_a_row_for_each_driver_share_seed_and_kind(world, tmp_path):

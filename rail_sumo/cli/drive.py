@@ -52,7 +52,8 @@ def evaluate(
         int, typer.Option("--replay", min=0, metavar="N", help="Also the N most telling episodes, as pages to watch.")
     ] = 0,
     reference: Annotated[
-        str | None, typer.Option(metavar="POLICY", help="The policy that ratios refer to.", show_default="expert")
+        str | None,
+        typer.Option(metavar="POLICY", help="The policy that ratios refer to.", show_default="expert, or the last"),
     ] = None,
     mode: Mode = "default",
 ) -> None:
@@ -61,6 +62,7 @@ def evaluate(
     The world is that of the first run directory among the policies, or the default, changed by the options.
     """
     from rail_sumo import replay, run
+    from rail_sumo.tables import report
 
     if out:
         files.check_folder(out, overwrite=overwrite, instead=", or replace its tables with --overwrite")
@@ -93,7 +95,7 @@ def evaluate(
                 seed=seed,
                 workers=n_workers,
                 observer=bars,
-                reference=reference or "expert",
+                reference=reference or report.reference_among(policies),
             )
             if out is None:
                 tables = drive()

@@ -8,7 +8,7 @@ import typer
 
 from rail_sumo import assets, config_file
 from rail_sumo.cli.apps import app, network
-from rail_sumo.cli.options import NETWORK, ConfigFile, NetworkFile, Overrides, Overwrite, Routes, overrides_of
+from rail_sumo.cli.options import NETWORK, ConfigFile, NetworkFile, Overrides, Overwrite, Routes, Seed, overrides_of
 from rail_sumo.errors import InputError
 
 if TYPE_CHECKING:
@@ -79,12 +79,15 @@ def check(
     file: Annotated[str, typer.Argument(help=NETWORK)],
     routes: Routes = None,
     overrides: Overrides = None,
+    seed: Seed = 0,
     as_json: Annotated[bool, typer.Option("--json", help="All edges and findings, as JSON.")] = False,
 ) -> None:
     """Tell where on a network rail-sumo would drive, and what may go wrong there."""
     from rail_sumo.highway import trial
+    from rail_sumo.rollout import EVALUATION, traffic_seed
 
-    found = trial.check(config_file.load(None, overrides_of(file, routes, overrides)))
+    world = config_file.load(None, overrides_of(file, routes, overrides))
+    found = trial.check(world, seed=traffic_seed(seed, EVALUATION, 0))
     if as_json:
         print(json.dumps(found.as_json, indent=2))
         return

@@ -1,5 +1,6 @@
 """The commands of many trainings or runs: reproduce and sweep."""
 
+import shlex
 import sys
 from dataclasses import replace
 from pathlib import Path
@@ -111,6 +112,7 @@ def sweep(
         duration_s=duration,
         warm_up_s=_warm_up_s(warm_up),
         workers=n_workers,
+        command=shlex.join(["rail-sumo", *sys.argv[1:]]),
     )
     try:
         with progress_bars() as bars:

@@ -123,7 +123,8 @@ class Camera:
         gap_m = self._gap_m[-1]  # before that step
         commanded_mps, told_mps = host.told_mps
         waits: Holding = "signal" if host.junctions.waits_for_signal else "right of way"
-        if now_mps < min(told_mps, before_mps + adas.acceleration_mps2 * SECONDS_PER_STEP) - SLACK_MPS:
+        reachable_mps = min(told_mps, host.ceiling_mps, before_mps + adas.acceleration_mps2 * SECONDS_PER_STEP)
+        if now_mps < reachable_mps - SLACK_MPS:
             return "emergency" if gap_m < TOO_CLOSE_S * before_mps + TOO_CLOSE_M else waits
         if told_mps < commanded_mps:
             return waits if math.isnan(gap_m) else "vehicle ahead"

@@ -75,7 +75,7 @@ class Host:
         self._look_around = look_around
         self._claims = claims
         self._adas = adas
-        self.fastest_mps = adas.highest_mps(road.highest_limit_mps)
+        self.fastest_mps = self.ceiling_mps = adas.highest_mps(road.highest_limit_mps)
         self._edges = road.edge_of
         self._joints = road.joints
         self._next_lanes = road.next_lanes
@@ -133,11 +133,15 @@ class Host:
         libsumo.vehicle.setSpeed(self.name, speed_mps)
         self._set_mps = self._told_mps = speed_mps
 
-    def become(self, own: Mapping[str, str | float], *, speed_mps: float) -> None:
-        """Be the vehicle that has these properties of its own, by what SUMO's setters call them, and drives so fast."""
+    def become(self, own: Mapping[str, str | float], *, speed_mps: float, fastest_mps: float) -> None:
+        """Be the vehicle that has these properties of its own, by what SUMO's setters call them, and drives so fast.
+
+        It never drives faster than that vehicle can.
+        """
         for what, value in own.items():
             self._set(what, value)
-        self._set("MaxSpeed", max(self.fastest_mps, speed_mps))  # or SUMO would brake it hard
+        self.ceiling_mps = max(min(self.fastest_mps, fastest_mps), speed_mps)  # below its speed SUMO would brake hard
+        self._set("MaxSpeed", self.ceiling_mps)
 
     def _set(self, what: str, value: str | float) -> None:
         """Set a property of its vehicle type; if others are of it too, of the vehicle, to which SUMO gives its own."""

@@ -18,6 +18,7 @@ from rail_sumo.errors import InputError
 from rail_sumo.highway import placing, sumo_process
 from rail_sumo.highway.host import HOST_TYPE, Host
 from rail_sumo.highway.names import HOST, OURS
+from rail_sumo.highway.network import sumo_xml
 from rail_sumo.highway.network.demand import Demand
 from rail_sumo.highway.network.road import Road
 from rail_sumo.highway.whereabouts import way_of
@@ -189,7 +190,9 @@ class Simulation:
         try:
             sumo_process.start(options, outputs)
         except sumo_process.Refused as error:
-            raise InputError(f"SUMO cannot load the network or its demand: {error}") from None
+            damaged = sumo_xml.first_damaged([net_file, *demand.additional, *demand.routes])
+            which = f"'{damaged.name}'" if damaged else "the network or its demand"
+            raise InputError(f"SUMO cannot load {which}: {error}") from None
         self._is_open = True
         if limit_factor != 1.0:
             for lane in libsumo.lane.getIDList():
@@ -298,7 +301,7 @@ class Simulation:
     def take_over(self, car: "Inserted") -> None:
         """Make a vehicle of the demand that has just been inserted the host: as large as it is, and on its route."""
         libsumo.vehicle.setType(car.name, HOST_TYPE)
-        self.host.become(car.own, speed_mps=car.speed_mps)
+        self.host.become(car.own, speed_mps=car.speed_mps, fastest_mps=car.fastest_mps)
         self.host.take_over(car.speed_mps)
         self.host.begin()
         self._held.pop(car.name, None)

@@ -74,15 +74,19 @@ class Findings:
         }
 
 
-def check(world: Config) -> Findings:
+def check(world: Config, *, seed: int = 0) -> Findings:
     """Begin an episode, and tell what it would drive.
+
+    Args:
+        world: where.
+        seed: of the traffic.
 
     Raises:
         InputError: it cannot be driven.
     """
     env = HighwayEnv(world)
     try:
-        env.reset(seed=0)
+        env.reset(seed=seed)
         warnings = [*_shortness(env), *road.warnings(env.stretch.road), *demand.warnings(env.demand), *_solitude(env)]
         host, enters_s, n_signals = env.host_name, env.scene.time_s, env.n_signals_ahead
         return Findings(

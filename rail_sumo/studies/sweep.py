@@ -10,6 +10,7 @@ import json
 import math
 import pickle
 import tempfile
+import tomllib
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from importlib.util import find_spec
@@ -24,11 +25,13 @@ from rich.table import Table
 
 from rail_sumo import assets, config_file, drivers, rollout, run, training
 from rail_sumo.config import Config
+from rail_sumo.config_file import first_difference, flat
 from rail_sumo.errors import InputError
 from rail_sumo.files import check_folder, whole_file
 from rail_sumo.highway.fleet import Instead, demand_of
 from rail_sumo.pictures import plot
 from rail_sumo.rollout import EVALUATION, SILENT, Observer, Who, traffic_seed
+from rail_sumo.run_directory import CONFIG
 from rail_sumo.studies import cells
 from rail_sumo.tables import report, traffic, warm_up
 from rail_sumo.tables.shares import (
@@ -75,19 +78,27 @@ class Sweep:
     """How long the traffic drives before; None to find it."""
     workers: int = 1
     observer: Observer = SILENT
+    command: str = ""
+    """What was typed; it is kept beside the tables."""
 
     def drive(self) -> "Tables":
         """Bring every run to its end; write the tables, `sweep.md` and a figure for each measure into `out`.
 
         Raises:
-            InputError: a share outside 0 to 1, doubled, or none; a driver that is not found, senses something else than
+            InputError: `out` holds something else, or runs of another world or period; a share outside 0 to 1, doubled,
+                or none; a driver that is not found, senses something else than
                 its configuration says, or is named twice; no demand, or one without cars.
         """
         self._check()
         check_folder(self.out, overwrite=True)
+        other = next((name for name in (CONFIG, report.EPISODES) if (self.out / name).exists()), None)
+        if other:
+            raise InputError(f"'{self.out}' holds a run or an evaluation ({other}); choose another --out for the sweep")
         planned = list(self._work())  # every driver is found, or not, before the first run
         warm_up_s = self._warm_up_s() if self.warm_up_s is None else self.warm_up_s
         work = [replace(one, warm_up_s=warm_up_s) for one in planned]
+        for one in work:
+            one.require_same_study()
         self.observer.start("runs", len(work))
         driven = []
         with rollout.workers(self.workers) as pool:
@@ -99,6 +110,7 @@ class Sweep:
             raise InputError("no car of the share was on the road in the period; change traffic.begin_s or --duration")
         tables = Tables(table, summarised(table), compared(table), warm_up_s)
         report.write(self.out, traffic=table, summary=tables.summary, differences=tables.differences, overwrite=True)
+        run.describe(self.out, self.config, self.command)
         with whole_file(self.out / "sweep.md") as partial:
             partial.write_text(markdown(self, tables), encoding="utf-8")
         self._draw(tables.summary)
@@ -255,6 +267,24 @@ class _Work:
         }
         return json.dumps(about, sort_keys=True)
 
+    def require_same_study(self) -> None:
+        """Raise InputError if its file holds a run of another world or period."""
+        about = cells.made_of(self.file)
+        if not about:
+            return
+        theirs, ours = json.loads(about), json.loads(self.made_of)
+        if theirs["config"] != ours["config"]:
+            what = first_difference(*(flat(tomllib.loads(one["config"])) for one in (theirs, ours)))
+        elif theirs["period"] != ours["period"]:
+            what = "{:g} s after {:g} s of warm-up, not {:g} after {:g}".format(
+                *theirs["period"][::-1], *ours["period"][::-1]
+            )
+        elif theirs["inputs"] != ours["inputs"]:
+            what = "other content of the network's or the demand's files"
+        else:
+            return
+        raise InputError(f"'{self.out}' holds runs that were driven with {what}; choose another --out")
+
     @property
     def file(self) -> Path:
         """Where its rows are kept."""
@@ -318,6 +348,7 @@ def markdown(sweep: Sweep, tables: Tables) -> str:
         "",
         _caption(sweep, tables),
         "",
+        *((f"    {sweep.command}", "") if sweep.command else ()),
         f"| {' | '.join(headings)} |",
         "| --- |" + " ---: |" * (len(headings) - 1),
         *(f"| {' | '.join(row)} |" for row in rows),

@@ -1,7 +1,7 @@
 """Rows -> tables with intervals: CSV and Parquet with the same content, and a table for the terminal."""
 
 import io
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -79,6 +79,12 @@ def summary(episodes: pd.DataFrame, reference: str = EXPERT) -> pd.DataFrame:
             }
             rows.append(told | figures(metric, scores, theirs, trained=False))
     return typed(rows, SUMMARY_COLUMNS)
+
+
+def reference_among(policies: Sequence[str]) -> str:
+    """Return the policy that ratios refer to where none is named: an expert by name, else the last of several."""
+    experts = [policy for policy in policies if policy in (EXPERT, "road-expert")]
+    return (experts or [policies[-1] if len(policies) > 1 else EXPERT])[0]
 
 
 def figures(metric: str, scores: Floats, reference: Floats, *, trained: bool) -> dict[str, float]:

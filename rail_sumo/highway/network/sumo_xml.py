@@ -4,6 +4,7 @@ import gzip
 import xml.etree.ElementTree as ElementTree
 import xml.sax
 import zlib
+from collections.abc import Iterable
 from io import BufferedIOBase
 from pathlib import Path
 
@@ -31,6 +32,17 @@ def root_of(path: Path) -> ElementTree.Element:
     with opened(path) as stream:
         _, root = next(ElementTree.iterparse(stream, events=("start",)))
     return root
+
+
+def first_damaged(files: Iterable[Path]) -> Path | None:
+    """Return the first of some files that is no whole XML, if any is."""
+    for file in files:
+        try:
+            with opened(file) as stream:
+                xml.sax.parse(stream, xml.sax.ContentHandler())
+        except (*UNREADABLE, *UNKNOWN_ENCODING):
+            return file
+    return None
 
 
 def is_configuration(path: Path) -> bool:
