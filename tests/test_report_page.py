@@ -9,6 +9,7 @@ import pytest
 from rail_sumo import assets, config_file, run
 from rail_sumo.errors import InputError
 from rail_sumo.pictures import report_page
+from rail_sumo.tables.shares import HEADINGS
 
 BRIEF = ["episode.duration_s=10.0", "traffic.vehicles=30"]
 
@@ -89,6 +90,7 @@ def test_a_sweep_and_a_study_show_their_tables_and_figures(tmp_path):
     (sweep / "figures" / "flow_vehph.svg").write_text(svg)
     (study / "figure_speed.svg").write_text(svg)
     pd.DataFrame({"share": [0.5]}).to_parquet(sweep / "traffic.parquet")
+    (sweep / "sweep.md").write_text("# mine\n\ncaption\n\n| who | flow |\n| --- | ---: |\n| a 50 % | 1,234 ± 5 |\n")
     pd.DataFrame({"share": [0.5], "mean": [12.5]}).to_parquet(sweep / "summary.parquet")
     of = {"vehicles": ["all", "driven"], "measure": ["flow_vehph"] * 2, "difference": [3.25, 77.75]}
     pd.DataFrame(of).to_parquet(sweep / "differences.parquet")
@@ -97,8 +99,10 @@ def test_a_sweep_and_a_study_show_their_tables_and_figures(tmp_path):
     pd.DataFrame({"system": ["rail-2"], "ratio": [0.99]}).to_csv(study / "table1.csv", index=False)
     report_page.write([sweep, study], tmp_path / "page.html")
     page = (tmp_path / "page.html").read_text()
-    assert [row[1][0] for row in rows_of(page, "Differences")] == ["3.25"]
-    assert "flow vehph" in page
+    assert rows_of(page, "All vehicles") == [[("a 50 %", "a 50 %"), ("1,234 ± 5", "1,234 ± 5")]]
+    assert 'data-value="3.25"' in page  # the difference of all vehicles, ...
+    assert "77.75" not in page  # ... and not that of those driven
+    assert HEADINGS["flow_vehph"] in page
     assert page.count("<img") == 2
     assert [row[1][0] for row in rows_of(page, "Table 1")] == ["0.99"]
     assert 'data-value="2.0"' in page  # the training's mean

@@ -116,6 +116,8 @@ def evaluate(
         print(f"rail-sumo: interrupted after {len(stop.tables.episodes)} of {stop.episodes} episodes", file=sys.stderr)
         raise typer.Exit(130) from None
     show(tables, out)
+    if out and fcd:
+        print(f"floating-car data in {out / FCD}")
     if out and replays:
         _forget(out, REPLAYS)
         try:

@@ -21,13 +21,15 @@ from rail_sumo.pictures import plot
 from rail_sumo.records import MetaAction
 from rail_sumo.run_directory import CLONE, CONFIG, PROGRESS
 from rail_sumo.tables.report import DECISIONS, EPISODES, ORIGIN, SUMMARY, WORLD
+from rail_sumo.tables.shares import HEADINGS
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 _PARTS = Path(__file__).with_name("report")
 
-CELLS, TRAFFIC, DIFFERENCES, TABLE1 = "cells.parquet", "traffic.parquet", "differences.parquet", "table1.csv"
+CELLS, TRAFFIC, DIFFERENCES = "cells.parquet", "traffic.parquet", "differences.parquet"
+TABLE1, SWEEP = "table1.csv", "sweep.md"
 KINDS = (CONFIG, EPISODES, CELLS, TRAFFIC)
 """A folder is known by one of these."""
 
@@ -37,7 +39,7 @@ POINTS = {
     "lane_changes": "lane changes",
     "refused_decisions": "refused decisions",
     "hardest_braking_mps2": "hardest braking, m/s²",
-    "min_ttc_s": "smallest time to collision, s",
+    "min_ttc_s": "smallest time to collision, s (60 and more at 60)",
 }
 """What is drawn of every episode."""
 FARTHEST_TTC_S = 60.0
@@ -131,6 +133,8 @@ def _evaluation(episodes: pd.DataFrame, summary: pd.DataFrame) -> Iterator[str]:
         rows.append(row)
     most = int(summary["episodes"].max())
     caption = f"Means over {most} episodes, with 95 % intervals; ratios are paired by episode."
+    if most == 1:
+        caption = "One episode, without intervals."
     yield "<h3>Evaluation</h3>" + _table(pd.DataFrame(rows).astype(object).fillna(""), caption)
     yield _picture(_points(episodes, policies), "Every episode is a point; the line is the mean.", "Episodes")
     yield "<details><summary>All episodes</summary>" + _table(episodes) + "</details>"
@@ -226,16 +230,26 @@ def _study(folder: Path) -> Iterator[str]:
 
 def _sweep(folder: Path) -> Iterator[str]:
     differences = _read(folder / DIFFERENCES)
+    if (folder / SWEEP).is_file():
+        yield "<h3>All vehicles</h3>" + _table(_of_markdown((folder / SWEEP).read_text(encoding="utf-8")))
+    yield from _figures(folder / "figures", "*.svg")
     of_all = differences[differences["vehicles"] == "all"].drop(columns="vehicles")
     caption = "Differences from the same runs without driven cars, of all vehicles, with 95 % intervals."
-    yield "<h3>Differences</h3>" + _table(of_all, caption)
-    yield from _figures(folder / "figures", "*.svg")
+    yield "<details><summary>All differences</summary>" + _table(of_all, caption) + "</details>"
     yield "<details><summary>Means of every arm</summary>" + _table(_read(folder / SUMMARY)) + "</details>"
+
+
+def _of_markdown(text: str) -> pd.DataFrame:
+    """Return the first table of a Markdown text."""
+    rows = [line.strip().strip("|").split("|") for line in text.splitlines() if line.startswith("|")]
+    heads, _, *body = [[cell.strip() for cell in row] for row in rows]
+    return pd.DataFrame(body, columns=heads)
 
 
 def _figures(folder: Path, pattern: str) -> Iterator[str]:
     for file in sorted(folder.glob(pattern)):
-        yield _image(file.read_bytes(), file.stem.removeprefix("figure_").replace("_", " "))
+        name = file.stem.removeprefix("figure_")
+        yield _image(file.read_bytes(), HEADINGS.get(name, name.replace("_", " ")))
 
 
 def _settings(folders: Sequence[Path]) -> str:
