@@ -196,3 +196,9 @@ def test_a_car_that_is_replaced_drives_no_faster_than_it_can_itself(make, tmp_pa
     env = make(on_highway3(demand(tmp_path, car) | {"host": "v"}))
     fastest_mps = drive(env, always(ACCELERATE)).speed_mps.max()
     assert fastest_mps == pytest.approx(min(own_mps, 80.0 / 3.6), abs=0.05)
+
+
+def test_a_course_over_an_edge_that_is_not_there_is_told_before_anybody_drives(make, tmp_path):
+    env = make(world(network={"file": "highway3", "course": ("highwaz",)}, traffic=demand(tmp_path)))
+    with pytest.raises(InputError, match=r"has no edge 'highwaz', which network.course names; did you mean"):
+        env.reset(seed=0)

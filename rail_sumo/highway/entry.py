@@ -35,7 +35,7 @@ def take_over(simulation: Simulation, config: Config, demand: Demand, rng: np.ra
         InputError: no car departs that the host could replace, the one that is named has a route that it could not
             drive, or the network cannot be read.
     """
-    road.require_readable(config.network.file)
+    road.require_readable(config.network.file, config.network.course)
     from_s, until_s = moments(config, demand, rng)
     simulation.run_until(from_s - SECONDS_PER_STEP)
     for steps in itertools.count(1):

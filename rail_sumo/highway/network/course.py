@@ -2,7 +2,7 @@
 
 import itertools
 import math
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from typing import Any
@@ -50,6 +50,16 @@ class Way:
         return [*found, connections(self.edges[-1], self.edges[0], self.vclass) if self.is_loop else []]
 
 
+def require_edges(net: Any, name: str, wanted: Sequence[str]) -> None:
+    """Raise CourseError for the first of some edges that a network does not have; arguments as in `along`."""
+    for edge_id in wanted:
+        if not net.hasEdge(edge_id):
+            ids = [edge.getID() for edge in net.getEdges(withInternal=False)]
+            raise CourseError(
+                f"network '{name}' has no edge '{edge_id}', which network.course names{did_you_mean(edge_id, ids)}"
+            )
+
+
 def along(net: Any, name: str, wanted: tuple[str, ...], vclass: str = CAR) -> Way:
     """Return the way over the edges wanted, in their order.
 
@@ -65,12 +75,7 @@ def along(net: Any, name: str, wanted: tuple[str, ...], vclass: str = CAR) -> Wa
     Raises:
         CourseError: no such edge, no such way, or a way that is closed to the class or leads twice over one edge.
     """
-    for edge_id in wanted:
-        if not net.hasEdge(edge_id):
-            ids = [edge.getID() for edge in net.getEdges(withInternal=False)]
-            raise CourseError(
-                f"network '{name}' has no edge '{edge_id}', which network.course names{did_you_mean(edge_id, ids)}"
-            )
+    require_edges(net, name, wanted)
     first, *others = map(net.getEdge, wanted)
     edges = [first]
     for ahead in others:

@@ -128,13 +128,13 @@ def load(file: str, wanted: tuple[str, ...] = (), *, vclass: str = CAR, limit_fa
     return found if limit_factor == 1.0 else _limited(found, limit_factor)
 
 
-def require_readable(file: str) -> None:
-    """Read a network before anybody drives on it.
+def require_readable(file: str, wanted: tuple[str, ...] = ()) -> None:
+    """Read a network before anybody drives on it, along a course of these edges.
 
     Raises:
-        InputError: as in `load`, but for the course.
+        InputError: as in `load`, but for the course; an edge that is not there.
     """
-    read(file)
+    course.require_edges(read(file).getNet(), assets.network(file).name, wanted)
 
 
 def read(file: str) -> "_Reader":
