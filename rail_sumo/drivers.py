@@ -112,7 +112,7 @@ class Network(ABC):
             A `MetaAction` as an int, or their array of shape (n,).
 
         Raises:
-            ValueError: observation or mask has another shape.
+            ValueError: observation or mask has another shape, or an observation a value that is not finite.
         """
         observations = np.asarray(observation, dtype=np.float64)
         masks = np.ones((*observations.shape[:-1], N_ACTIONS)) if mask is None else np.asarray(mask)
@@ -120,6 +120,8 @@ class Network(ABC):
             raise ValueError(
                 f"observation must have shape ({self.n_features},) or (n, {self.n_features}); got {observations.shape}"
             )
+        if not np.isfinite(observations).all():
+            raise ValueError("observation holds values that are not finite")
         if masks.shape != (*observations.shape[:-1], N_ACTIONS):
             raise ValueError(f"mask must have shape {(*observations.shape[:-1], N_ACTIONS)}; got {masks.shape}")
         if observations.ndim == 1:

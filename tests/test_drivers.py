@@ -251,6 +251,8 @@ def test_a_loaded_driver_acts_as_it_drives_one_observation_or_many(name):
     n = driver.n_features
     with pytest.raises(ValueError, match=re.escape(f"must have shape ({n},) or (n, {n}); got ({n - 1},)")):
         driver.act(observation[:-1])
+    with pytest.raises(ValueError, match="observation holds values that are not finite"):
+        driver.act(np.full(n, np.nan))
     with pytest.raises(ValueError, match=re.escape("mask must have shape (40, 5); got (5,)")):
         driver.act(np.array(seen), masks[0])
 

@@ -123,6 +123,9 @@ def test_they_come_one_after_the_other_live_once_and_end_with_their_figures(make
     assert ended == set(env.possible_agents)
     with pytest.raises(RuntimeError, match="the episode is over; call reset"):
         env.step({})
+    _, infos = env.reset(seed=SEED)
+    with pytest.raises(ValueError, match=r"there is no agent host_99, only host_0 to host_\d+"):
+        env.step(dict.fromkeys(env.agents, KEEP) | {"host_99": KEEP})
 
 
 def test_they_are_the_first_cars_after_the_warm_up_and_none_is_forgotten(make, few):

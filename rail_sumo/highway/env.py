@@ -213,8 +213,10 @@ class HighwayEnv(gymnasium.Env[Floats, np.int64]):
         return self._look(driven), driven
 
     def _under_way(self) -> Simulation:
-        if self._simulation is None or self.is_over:
+        if self.is_over:
             raise RuntimeError("the episode is over; call reset()")
+        if self._simulation is None:
+            raise RuntimeError("no episode has begun, or the environment was closed; call reset()")
         return self._simulation
 
     def _look(self, driven: int) -> Floats:

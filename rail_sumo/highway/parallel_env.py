@@ -52,6 +52,9 @@ class Agents:
         self.observation_spaces = {name: spaces.Box(low, high, dtype=np.float64) for name in self.names}
         self.action_spaces = {name: spaces.Discrete(len(MetaAction)) for name in self.names}
 
+    def __str__(self) -> str:
+        return f"{self.names[0]} to {self.names[-1]}"
+
 
 METADATA = {"name": "rail_sumo_highway_v0", "render_modes": [], "is_parallelizable": True}
 
@@ -160,7 +163,7 @@ class HighwayParallelEnv(ParallelEnv[str, Floats, int]):
 
         Raises:
             RuntimeError: no agent is left; call `reset`.
-            ValueError: an agent has no action, or one that does not exist.
+            ValueError: an agent has no action, or one that does not exist; an action of an agent that does not exist.
             InputError: SUMO gives up.
         """
         simulation, before = self._simulation, list(self.agents)
@@ -169,6 +172,9 @@ class HighwayParallelEnv(ParallelEnv[str, Floats, int]):
         missing = [name for name in before if name not in actions]
         if missing:
             raise ValueError(f"every agent decides, and there is no action for {', '.join(missing)}")
+        unknown = [name for name in actions if name not in self.possible_agents]
+        if unknown:
+            raise ValueError(f"there is no agent {', '.join(map(str, unknown))}, only {self._all}")
         decisions = {name: MetaAction(int(actions[name])) for name in before}
         told = {name: self._over.pop(name) for name in before if name in self._over}
         for name, ride in self._live.items():
