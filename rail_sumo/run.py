@@ -360,9 +360,10 @@ def describe(folder: Path, world: Config, command: str, *, seed: int | None = No
         command: what was typed.
         seed: of the traffic, where it is one.
     """
-    (folder / report.WORLD).write_text(dumps(world), encoding="utf-8")
     about = {"command": command, **({} if seed is None else {"seed": seed}), **_versions()}
-    (folder / report.ORIGIN).write_text(json.dumps(about, indent=2) + "\n", encoding="utf-8")
+    for name, text in ((report.WORLD, dumps(world)), (report.ORIGIN, json.dumps(about, indent=2) + "\n")):
+        with whole_file(folder / name) as partial:
+            partial.write_text(text, encoding="utf-8")
 
 
 def _versions() -> dict[str, str]:

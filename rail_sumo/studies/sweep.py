@@ -55,6 +55,8 @@ FOUND_OVER, FOUND_WITHIN_S = 2.0, 1200.0
 """To find the warm-up the traffic is watched for so many times the period that counts, and no less long than this."""
 
 EMISSIONS = "device.emissions.probability"
+FEW_SEEDS = 5
+"""With fewer an interval is so wide that it tells little."""
 
 
 @dataclass(frozen=True)
@@ -373,9 +375,10 @@ def _caption(sweep: Sweep, tables: Tables) -> str:
     left = (
         f" Up to {undriven} cars of a run's share are left to SUMO, on routes too short for a host." if undriven else ""
     )
+    few = f" Fewer than {FEW_SEEDS} seeds: intervals are very wide." if 1 < sweep.seeds < FEW_SEEDS else ""
     return (
         f"{seeds}; {sweep.duration_s:g} s each, after {tables.warm_up_s:g} s that do not count. Means of all vehicles; "
-        f"in brackets the difference from share 0 on the same traffic, ± half its 95 % interval.{left}"
+        f"in brackets the difference from share 0 on the same traffic, ± half its 95 % interval.{few}{left}"
     )
 
 
