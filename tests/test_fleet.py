@@ -305,7 +305,7 @@ def test_a_car_that_departs_later_on_its_route_is_driven_from_there(tmp_path):
 
 
 def test_handed_back_a_car_does_not_brake_for_what_it_would_have_driven(tmp_path):
-    slow = '<vType id="slow" maxSpeed="12" speedFactor="1"/>'
+    slow = '<vType id="slow" speedFactor="0.5"/>'
     world = one_road(
         tmp_path, '<vehicle id="one" type="slow" route="r" depart="0" departPos="7000" departSpeed="max"/>', types=slow
     )
