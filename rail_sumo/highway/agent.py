@@ -137,12 +137,11 @@ class Agent:
     def _why_over(self) -> EndReason | None:
         if self.host.contact:
             return "collision"
-        travelled_m = self._travelled_m
-        if travelled_m >= self._world.episode.course_m:
+        if self._travelled_m >= self._world.episode.course_m:
             return "course"
         if self.n_steps >= self._duration_steps:
             return "duration"
-        if travelled_m >= self.stretch.drivable_m:
+        if self._travelled_m >= self.stretch.drivable_m:
             return "end of road"
         speeds = self.host.speeds_mps
         crawls = speeds[-1] < CRAWL_MPS and len(speeds) >= STANDSTILL_STEPS
@@ -189,7 +188,7 @@ class Agent:
             self._allowed.append(self.mask if self._is_told else ALL_ALLOWED)
             self._decision_step.append(self.n_steps)
             x_m, y_m = self.scene.boxes[:2, 0].tolist()
-            self._decision_place.append((self.host.travelled_m, x_m, -y_m if self.stretch.road.is_left_hand else y_m))
+            self._decision_place.append((self._travelled_m, x_m, -y_m if self.stretch.road.is_left_hand else y_m))
         self._mask, self._is_told = None, False
         self.wait(self._period_steps)
 

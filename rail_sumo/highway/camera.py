@@ -1,4 +1,4 @@
-"""Films an episode: where everybody is after every step, what the host sees, and what becomes of its decisions."""
+"""Films an episode: where every vehicle is after each step, what the host sees, and what is made of its decisions."""
 
 import math
 from collections.abc import Callable, Sequence
@@ -15,7 +15,7 @@ from rail_sumo.highway.simulation import Simulation
 from rail_sumo.records import SECONDS_PER_STEP, Floats, MetaAction, Trajectory
 
 SEES_M = 250.0
-"""Vehicles within this distance of the host, along either axis, are on the film."""
+"""Vehicles within this distance of the host, along either axis, are on the film; and whatever its rays may reach."""
 SLACK_MPS = 0.05
 """Speeds that differ by less are taken for the same."""
 TOO_CLOSE_S, TOO_CLOSE_M = 2.0, 5.0
@@ -41,8 +41,9 @@ class Camera:
         """The network that is driven on, which may vary from episode to episode."""
         self._agent = env.agent
         self._probabilities = probabilities
-        self._vehicles: dict[str, Vehicle] = {}
-        self._numbers: dict[str, int] = {}
+        self._sees_m = max(SEES_M, env.stretch.sees_m)
+        self._vehicles: list[Vehicle] = []
+        self._numbers: dict[str, int] = {}  # their places in that list, by id
         # For each frame: the vehicles' numbers, and their x, y, headings and speeds, shape (4, n).
         self._rows: list[tuple[Floats, Floats]] = []
         self._rays: list[Floats] = []
@@ -86,13 +87,13 @@ class Camera:
     def _shoot(self, simulation: Simulation) -> None:
         agent = self._agent
         sign = -1.0 if agent.stretch.road.is_left_hand else 1.0  # a scene is told in the mirror there
-        scene = simulation.scene(agent.host, sees_m=SEES_M)
+        scene = simulation.scene(agent.host, sees_m=self._sees_m)
         numbers = [
             self._number(simulation, name, scene.length_m[k], scene.width_m[k]) for k, name in enumerate(scene.ids)
         ]
         mirrored = np.array([1.0, sign, sign, 1.0])[:, None]
         self._rows.append((np.array(numbers), scene.boxes[:4] * mirrored))
-        rays_m = agent.lidar.scan(simulation.scene(agent.host))[0]
+        rays_m = agent.lidar.scan(scene)[0]
         self._rays.append(rays_m if sign > 0 else np.roll(rays_m[::-1], 1))
         for light, shown in simulation.signals().items():
             changes = self._signals.setdefault(light, [])
@@ -105,16 +106,15 @@ class Camera:
 
     def _number(self, simulation: Simulation, name: str, length_m: float, width_m: float) -> int:
         if name not in self._numbers:
-            self._numbers[name] = len(self._numbers)
-            self._vehicles[name] = Vehicle(name, simulation.class_of(name), float(length_m), float(width_m))
+            self._numbers[name] = len(self._vehicles)
+            self._vehicles.append(Vehicle(name, simulation.class_of(name), float(length_m), float(width_m)))
         return self._numbers[name]
 
     def _holds(self) -> Holding:
         """Return what the host's speed has followed in the last step."""
         agent = self._agent
-        host, state = agent.host, agent.state
-        set_mps = agent.adas.set_mps(state.limit_mps)
-        if math.isnan(set_mps):
+        host, state, set_mps = agent.host, agent.state, self._set_mps[-1]
+        if not agent.is_driven_by_us:
             return "SUMO"
         if len(host.speeds_mps) < 2:
             return "set speed"
@@ -174,7 +174,7 @@ class Camera:
             start_s=self._start_s,
             step_s=SECONDS_PER_STEP,
             n_frames=len(self._rows),
-            vehicles=tuple(self._vehicles.values()),
+            vehicles=tuple(self._vehicles),
             frame=np.repeat(np.arange(len(numbers), dtype=np.int32), [len(one) for one in numbers]),
             vehicle=np.concatenate(numbers).astype(np.int32),
             x_m=x_m,
