@@ -2,6 +2,7 @@
 
 import math
 import re
+from collections.abc import Mapping
 from typing import Annotated, Any, Literal, NamedTuple
 
 from pydantic import AfterValidator, BaseModel, ConfigDict, Field, model_validator
@@ -448,6 +449,11 @@ class Expert(_Section):
         return self
 
 
+def flat(tree: Mapping[str, Mapping[str, Any]]) -> dict[str, Any]:
+    """Return a configuration's sections as `section.key`, each with its value."""
+    return {f"{section}.{key}": value for section, values in tree.items() for key, value in values.items()}
+
+
 class Config(_Section):
     """The whole tree; a function takes the part it needs."""
 
@@ -480,8 +486,7 @@ class Config(_Section):
 
     def flat(self) -> dict[str, Any]:
         """Return every key as `section.key`, with its value."""
-        tree = self.model_dump()
-        return {f"{section}.{key}": value for section, values in tree.items() for key, value in values.items()}
+        return flat(self.model_dump())
 
     @property
     def senses(self) -> Senses:

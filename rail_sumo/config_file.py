@@ -78,11 +78,6 @@ def recorded(text: str) -> Config:
     return validate({name: tree[name] for name in ("lidar", "observation", "episode") if name in tree})
 
 
-def flat(tree: Mapping[str, Mapping[str, Any]]) -> dict[str, Any]:
-    """Return a configuration's sections as `section.key`, each with its value."""
-    return {f"{section}.{key}": value for section, values in tree.items() for key, value in values.items()}
-
-
 def first_difference(given: Mapping[str, Any], wanted: Mapping[str, Any]) -> str:
     """Return the first key in which two sets of keys differ, with both values; empty if in none."""
     found = ((key, value, wanted.get(key)) for key, value in given.items() if wanted.get(key) != value)

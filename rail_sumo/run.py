@@ -110,7 +110,7 @@ def find_driver(policy: str, world: Config, mode: str = "default") -> Who:
         return drivers.load_expert(world)
     if drivers.is_name(policy) and policy not in drivers.SHIPPED:
         return policy
-    folder = assets.driver(policy) if policy in drivers.SHIPPED else Path(policy)
+    folder = _folder_of(policy)
     if assets.is_expert(folder):
         return drivers.load_expert(world, folder)
     _require_folder(folder)
@@ -121,8 +121,12 @@ def find_driver(policy: str, world: Config, mode: str = "default") -> Who:
 def judges_of(policies: Iterable[str]) -> dict[str, RunDirectory]:
     """Return the runs of those policies that were learned, which may have a judge; see `training.verdicts`."""
     learned = [policy for policy in policies if policy in drivers.SHIPPED or not drivers.is_name(policy)]
-    folders = {policy: assets.driver(policy) if policy in drivers.SHIPPED else Path(policy) for policy in learned}
+    folders = {policy: _folder_of(policy) for policy in learned}
     return {policy: RunDirectory(folder) for policy, folder in folders.items() if not assets.is_expert(folder)}
+
+
+def _folder_of(policy: str) -> Path:
+    return assets.driver(policy) if policy in drivers.SHIPPED else Path(policy)
 
 
 def load_driver(policy: str, *, mode: str = "default", seed: int = 0) -> drivers.Network:

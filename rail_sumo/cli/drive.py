@@ -1,9 +1,9 @@
 """The commands that drive: eval and replay."""
 
 import math
-import shlex
 import shutil
 import sys
+from collections.abc import Mapping
 from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
@@ -23,6 +23,8 @@ from rail_sumo.cli.options import (
     Workers,
     network_of,
     overrides_of,
+    require_page,
+    typed,
     workers_of,
 )
 from rail_sumo.cli.progress import progress_bars, show
@@ -64,26 +66,17 @@ def evaluate(
     from rail_sumo import replay, run
     from rail_sumo.tables import report
 
-    if out:
-        files.check_folder(out, overwrite=overwrite, instead=", or replace its tables with --overwrite")
-        for folder, option, is_asked in ((FCD, "--fcd", fcd), (REPLAYS, "--replay", replays)):
-            if (out / folder).exists() and not is_asked:
-                raise InputError(
-                    f"'{out / folder}' is of other drives than these; replace it by {option}, or choose another --out"
-                )
-    elif fcd or replays:
-        raise InputError(f"{'--fcd' if fcd else '--replay'} writes into the folder of --out; name one")
+    _require_place(out, {"--fcd": (FCD, fcd), "--replay": (REPLAYS, bool(replays))}, overwrite=overwrite)
     if reference and reference not in policies:
         raise InputError(f"--reference {reference} is not among the policies: {', '.join(policies)}; name it there too")
     n_workers = workers_of(workers)
     _require_each_once(policies)
     world = run.world(policies, overrides_of(network, routes, overrides))
     who = {policy: run.find_driver(policy, world, mode) for policy in policies}
-    judges = run.judges_of(policies)
 
     def keep(tables: "Tables", whole: Path) -> None:
         tables.save(whole)
-        run.describe(whole, world, shlex.join(["rail-sumo", *sys.argv[1:]]), seed=seed)
+        run.describe(whole, world, typed(), seed=seed)
 
     try:
         with progress_bars() as bars:
@@ -122,11 +115,33 @@ def evaluate(
         _forget(out, REPLAYS)
         try:
             with files.whole_folder(out / REPLAYS) as whole:
+                judges = run.judges_of(policies)
                 replay.write_most_telling(tables.episodes, who, judges, world, whole, seed=seed, number=replays)
         except KeyboardInterrupt:
             print(f"rail-sumo: interrupted; the tables are in {out}, without pages to watch", file=sys.stderr)
             raise typer.Exit(130) from None
         print(f"pages to watch in {out / REPLAYS}")
+
+
+def _require_place(out: Path | None, beside: Mapping[str, tuple[str, bool]], *, overwrite: bool) -> None:
+    """Raise InputError if tables, or what is asked for beside them, have no place to go to.
+
+    Args:
+        out: the tables' folder, if they are kept.
+        beside: by option, the folder of what it writes beside the tables, and whether it is asked for.
+        overwrite: whether `out` may exist.
+    """
+    if out is None:
+        for option, (_, is_asked) in beside.items():
+            if is_asked:
+                raise InputError(f"{option} writes into the folder of --out; name one")
+        return
+    files.check_folder(out, overwrite=overwrite, instead=", or replace its tables with --overwrite")
+    for option, (folder, is_asked) in beside.items():
+        if (out / folder).exists() and not is_asked:
+            raise InputError(
+                f"'{out / folder}' is of other drives than these; replace it by {option}, or choose another --out"
+            )
 
 
 def _forget(out: Path, *folders: str) -> None:
@@ -155,8 +170,7 @@ def replay(
     """Watch an episode of an evaluation, or any SUMO run, in a browser: one file, which needs nothing else."""
     from rail_sumo import replay, run
 
-    if out.suffix != ".html":
-        raise InputError(f"a replay is a page, FILE.html; got '{out}'")
+    require_page(out, "a replay")
     recordings = [one for one in what if Path(one).is_file()]
     if recordings and len(what) > 1:
         raise InputError(f"one file of floating-car data is shown at a time; got {', '.join(what)}")

@@ -8,8 +8,17 @@ import typer
 
 from rail_sumo import assets, config_file
 from rail_sumo.cli.apps import app, network
-from rail_sumo.cli.options import NETWORK, ConfigFile, NetworkFile, Overrides, Overwrite, Routes, Seed, overrides_of
-from rail_sumo.errors import InputError
+from rail_sumo.cli.options import (
+    NETWORK,
+    ConfigFile,
+    NetworkFile,
+    Overrides,
+    Overwrite,
+    Routes,
+    Seed,
+    overrides_of,
+    require_page,
+)
 
 if TYPE_CHECKING:
     from rail_sumo.highway.network.road import Road
@@ -26,8 +35,7 @@ def report(
     """Put all that is known of runs, evaluations, sweeps or studies on one page, with pictures; one file."""
     from rail_sumo.pictures import report_page
 
-    if out.suffix != ".html":
-        raise InputError(f"a report is a page, FILE.html; got '{out}'")
+    require_page(out, "a report")
     report_page.write(folders, out, overwrite=overwrite)
     print(f"report in {out}; open it in a browser")
 

@@ -2,6 +2,7 @@
 
 import json
 import os
+import shlex
 import sys
 from pathlib import Path
 from typing import Annotated, Any, Literal
@@ -56,6 +57,17 @@ def network_of(network: str) -> str:
     from rail_sumo.highway.network import sumocfg  # SUMO takes half a second to import
 
     return sumocfg.read(Path(network))[0]["network.file"]
+
+
+def typed() -> str:
+    """Return the command as it was typed, to be kept beside what it writes."""
+    return shlex.join(["rail-sumo", *sys.argv[1:]])
+
+
+def require_page(out: Path, what: str) -> None:
+    """Raise InputError if a file is not to be a page."""
+    if out.suffix != ".html":
+        raise InputError(f"{what} is a page, FILE.html; got '{out}'")
 
 
 def workers_of(text: str) -> int | Literal["ray"]:

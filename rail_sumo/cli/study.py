@@ -1,6 +1,5 @@
 """The commands of many trainings or runs: reproduce and sweep."""
 
-import shlex
 import sys
 from dataclasses import replace
 from pathlib import Path
@@ -11,7 +10,16 @@ from rich.console import Console
 
 from rail_sumo import config_file
 from rail_sumo.cli.apps import app
-from rail_sumo.cli.options import ConfigFile, LocalWorkers, NetworkFile, Overrides, Routes, overrides_of, workers_of
+from rail_sumo.cli.options import (
+    ConfigFile,
+    LocalWorkers,
+    NetworkFile,
+    Overrides,
+    Routes,
+    overrides_of,
+    typed,
+    workers_of,
+)
 from rail_sumo.cli.progress import progress_bars
 from rail_sumo.errors import InputError
 
@@ -112,7 +120,7 @@ def sweep(
         duration_s=duration,
         warm_up_s=_warm_up_s(warm_up),
         workers=n_workers,
-        command=shlex.join(["rail-sumo", *sys.argv[1:]]),
+        command=typed(),
     )
     try:
         with progress_bars() as bars:

@@ -1,4 +1,4 @@
-"""Films an episode: where every vehicle is after each step, what the host sees, and what is made of its decisions."""
+"""Films an episode: all vehicles after every step, the rays of the host, and how each decision was carried out."""
 
 import math
 from collections.abc import Callable, Sequence

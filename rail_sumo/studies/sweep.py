@@ -24,8 +24,8 @@ from rich.markup import escape
 from rich.table import Table
 
 from rail_sumo import assets, config_file, drivers, rollout, run, training
-from rail_sumo.config import Config
-from rail_sumo.config_file import first_difference, flat
+from rail_sumo.config import Config, flat
+from rail_sumo.config_file import first_difference
 from rail_sumo.errors import InputError
 from rail_sumo.files import check_folder, whole_file
 from rail_sumo.highway.fleet import Instead, demand_of
@@ -276,7 +276,7 @@ class _Work:
             return
         theirs, ours = json.loads(about), json.loads(self.made_of)
         if theirs["config"] != ours["config"]:
-            what = first_difference(*(flat(tomllib.loads(one["config"])) for one in (theirs, ours)))
+            what = first_difference(*(flat(tomllib.loads(one["config"])) for one in (theirs, ours))) or "other keys"
         elif theirs["period"] != ours["period"]:
             what = "{:g} s after {:g} s of warm-up, not {:g} after {:g}".format(
                 *theirs["period"][::-1], *ours["period"][::-1]
