@@ -1,6 +1,5 @@
 """Floating-car data of any SUMO run, as a film."""
 
-import itertools
 import math
 import re
 import xml.sax
@@ -15,6 +14,7 @@ from scipy.spatial import cKDTree
 
 from rail_sumo.errors import InputError
 from rail_sumo.film import Film, Ground, Vehicle
+from rail_sumo.highway.network.polylines import densified
 from rail_sumo.highway.network.sumo_xml import UNREADABLE, opened
 from rail_sumo.records import Floats
 
@@ -138,22 +138,13 @@ def require_same_network(film: Film, ground: Ground) -> None:
     """Raise InputError if most vehicles are nowhere near the network's lanes."""
     sample = np.linspace(0, len(film.x_m) - 1, min(len(film.x_m), CHECKED)).astype(int)
     places = np.column_stack((film.x_m, film.y_m))[sample]
-    lanes = [_along(lane.points) for lane in ground.lanes]
+    lanes = [densified(lane.points, NEAR_M) for lane in ground.lanes]
     far = len(places) if not lanes else int((cKDTree(np.concatenate(lanes)).query(places)[0] > NEAR_M).sum())
     if 2 * far > len(places):
         raise InputError(
             f"'{film.name}' is of another network than '{ground.name}': {far} of {len(places)} positions are far from "
             f"its lanes; name its own with --network, and write x and y in metres, without --fcd-output.geo"
         )
-
-
-def _along(line: Floats) -> Floats:
-    """Return points along a line, shape (n, 2), no farther apart than `NEAR_M`."""
-    pairs = [
-        np.linspace(start, stop, math.ceil(math.dist(start, stop) / NEAR_M) + 1)
-        for start, stop in itertools.pairwise(line)
-    ]
-    return np.concatenate(pairs)
 
 
 def _table(file: Path) -> pd.DataFrame:

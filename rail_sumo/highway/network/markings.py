@@ -7,7 +7,7 @@ from typing import NamedTuple
 import numpy as np
 
 from rail_sumo.highway.network import ground
-from rail_sumo.highway.network.borders import offset
+from rail_sumo.highway.network.polylines import along_m, at, densified, offset
 from rail_sumo.highway.network.road import Road
 from rail_sumo.highway.network.sumo_xml import state_of
 from rail_sumo.records import Floats
@@ -54,7 +54,7 @@ def _of(path: Path, state: tuple[int, int]) -> Markings:
     edge = ""
     for lane in below.lanes:  # edge by edge, from the kerb
         is_first, edge = lane.edge != edge, lane.edge
-        line = _line(lane.points)
+        line = densified(lane.points, PIECE_M)
         if len(line) < 2:
             continue
         kerb, away = (offset(line, side * lane.width_m / 2) for side in sides)
@@ -76,32 +76,10 @@ def _of(path: Path, state: tuple[int, int]) -> Markings:
     return found.mirrored() if below.is_left_hand else found
 
 
-def _line(points: Floats) -> Floats:
-    """Return the middle of a lane, shape (n_points, 2), with points no farther apart than `PIECE_M`."""
-    if len(points) < 2:
-        return points
-    along_m = _along_m(points)
-    if along_m[-1] == 0.0:
-        return points[:1]
-    between = np.linspace(0.0, along_m[-1], int(along_m[-1] // PIECE_M) + 2)
-    return _at(points, np.union1d(along_m, between))
-
-
-def _along_m(line: Floats) -> Floats:
-    """Return how far along a line each of its points is."""
-    return np.concatenate([[0.0], np.hypot(*np.diff(line, axis=0).T).cumsum()])
-
-
-def _at(line: Floats, along_m: Floats) -> Floats:
-    """Return the points so far along a line."""
-    reached = _along_m(line)
-    return np.column_stack([np.interp(along_m, reached, line[:, 0]), np.interp(along_m, reached, line[:, 1])])
-
-
 def _pieces(line: Floats) -> Floats:
     return np.stack([line[:-1], line[1:]], axis=1)
 
 
 def _dashes(line: Floats) -> Floats:
-    begin_m = np.arange(0.0, _along_m(line)[-1], DASH_PERIOD_M)
-    return np.stack([_at(line, begin_m), _at(line, begin_m + DASH_M)], axis=1)
+    begin_m = np.arange(0.0, along_m(line)[-1], DASH_PERIOD_M)
+    return np.stack([at(line, begin_m), at(line, begin_m + DASH_M)], axis=1)
