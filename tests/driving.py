@@ -2,9 +2,12 @@
 
 import dataclasses
 import math
+from contextlib import contextmanager
 
+import gymnasium
 import numpy as np
 
+import rail_sumo  # noqa: F401  registers the environment
 from rail_sumo.config_file import validate
 from rail_sumo.highway.simulation import Simulation
 from rail_sumo.records import MetaAction
@@ -34,6 +37,20 @@ def world(**sections):
 
 
 EMPTY = {"vehicles": 0}
+
+
+@contextmanager
+def registered(brief):
+    """Give what makes environments as Gymnasium has them registered, of this world if none is given; all are closed."""
+    made = []
+
+    def make(**given):
+        made.append(gymnasium.make("RailSumo/Highway-v0", **{"config": brief, **given}))
+        return made[-1]
+
+    yield make
+    for env in made:
+        env.close()
 
 
 class Watched(Simulation):

@@ -6,6 +6,7 @@ import sys
 import gymnasium
 import numpy as np
 import pytest
+from driving import registered
 from gymnasium.utils.env_checker import check_env
 from stable_baselines3 import PPO
 from stable_baselines3.common.callbacks import EvalCallback
@@ -22,15 +23,8 @@ BRIEF = {"episode": {"duration_s": 10.0}}
 
 @pytest.fixture
 def make():
-    made = []
-
-    def make_one(**given):
-        made.append(gymnasium.make(ID, **{"config": BRIEF, **given}))
-        return made[-1]
-
-    yield make_one
-    for env in made:
-        env.close()
+    with registered(BRIEF) as make_one:
+        yield make_one
 
 
 def drive(env, seed):

@@ -6,6 +6,7 @@ import math
 import gymnasium
 import numpy as np
 import pytest
+from driving import registered
 from gymnasium.utils.env_checker import check_env
 from gymnasium.wrappers import RecordVideo
 from matplotlib.colors import to_rgb
@@ -32,15 +33,8 @@ def without_a_screen(monkeypatch):
 
 @pytest.fixture
 def make():
-    made = []
-
-    def make_one(**given):
-        made.append(gymnasium.make(ID, **{"config": BRIEF, **given}))
-        return made[-1]
-
-    yield make_one
-    for env in made:
-        env.close()
+    with registered(BRIEF) as make_one:
+        yield make_one
 
 
 # The drawing.

@@ -22,7 +22,7 @@ class _Watched:
 
 
 class CutIns:
-    """Watches those whom one vehicle has moved in front of. Steps are counted by whoever calls."""
+    """Counts the hard brakings of vehicles that one vehicle has moved in front of. The caller counts the steps."""
 
     def __init__(self) -> None:
         self._watched: list[_Watched] = []

@@ -24,7 +24,7 @@ Infos = dict[str, dict[str, Any]]
 
 
 class Told(NamedTuple):
-    """What an agent is told of a step."""
+    """What `step` returns for one agent."""
 
     observation: Floats
     reward: float

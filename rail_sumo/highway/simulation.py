@@ -114,7 +114,7 @@ class Inserted:
 
     @property
     def own(self) -> dict[str, str | float]:
-        """What it keeps, whoever drives it, by what SUMO's setters call it."""
+        """The properties that it keeps when a host or ACC takes it over, by the names of SUMO's setters."""
         return {
             "VehicleClass": self.vclass,  # or lanes for its class alone would be closed to it
             "Length": self.length_m,

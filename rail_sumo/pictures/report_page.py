@@ -51,7 +51,7 @@ def write(folders: Sequence[Path], out: Path, *, overwrite: bool = False) -> Non
     """Write one page about folders that `train`, `eval`, `expert train`, `sweep` or `reproduce` has written.
 
     Args:
-        folders: in the order in which they are told of.
+        folders: one section each, in this order.
         out: the page, .html. It holds its pictures and fetches nothing.
         overwrite: whether `out` may exist.
 
@@ -94,7 +94,7 @@ def _require_known(folder: Path) -> None:
 
 
 def _about(folder: Path) -> Iterator[str]:
-    """Yield the parts of what is told of a folder, as HTML."""
+    """Yield the parts of a folder's section, as HTML."""
     yield from _origin(folder)
     if (folder / SUMMARY).is_file() and (folder / EPISODES).is_file():
         yield from _evaluation(_read(folder / EPISODES), _read(folder / SUMMARY))

@@ -1,4 +1,4 @@
-"""Rows of runs with a share of driven cars -> means, how they differ from share 0, and what is told of them."""
+"""Rows of runs with a share of driven cars -> means, differences from share 0, and the table that is printed."""
 
 import math
 
