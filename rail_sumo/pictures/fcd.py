@@ -42,9 +42,9 @@ CAR = ("passenger", 5.0, 1.8)
 MOST_FRAMES = 200_000
 """A page of more moments would be too much for a browser."""
 
-TIME, ID, X, Y, ANGLE, SPEED, TYPE, LANE = (
+TIME, ID, X, Y, ANGLE, SPEED, TYPE = (
     "timestep_time",
-    *(f"vehicle_{name}" for name in ("id", "x", "y", "angle", "speed", "type", "lane")),
+    *(f"vehicle_{name}" for name in ("id", "x", "y", "angle", "speed", "type")),
 )
 NEEDED = (TIME, ID, X, Y, ANGLE, SPEED)
 UNEVEN = 0.1
