@@ -34,6 +34,8 @@ PAIRS = (
     (("rail-2", ARGMAX), ("expert", "")),
 )
 METRICS = ("speed_kmh", "overtakes", "lane_changes")
+OF_THE_PAPER = 16
+"""Episodes that it drove of each system, one training each."""
 
 
 def ratios(cells: pd.DataFrame) -> pd.DataFrame:
@@ -93,6 +95,20 @@ def lane_changing(cells: pd.DataFrame) -> pd.DataFrame:
     })  # fmt: skip
 
 
+def chance_ratios(cells: pd.DataFrame) -> pd.DataFrame:
+    """A row per metric: between which ratios 95 % lie of the expert's mean over 16 episodes to its own over 16 others.
+
+    As the paper compares: by chance alone, what any system would come to that drives just as its expert.
+    """
+    driven, rng = cells[cells["system"] == report.EXPERT], np.random.default_rng(0)
+    rows = []
+    for metric in (*METRICS, "lateral_reward"):
+        ours, theirs = rng.choice(driven[metric].to_numpy(dtype=float), (2, 100_000, OF_THE_PAPER)).mean(axis=2)
+        low, high = np.quantile(ours / theirs, [0.025, 0.975])
+        rows.append({"metric": metric, "low": low, "high": high})
+    return pd.DataFrame(rows)
+
+
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("folder", type=Path, help="what rail-sumo reproduce wrote")
@@ -102,6 +118,8 @@ def main() -> None:
     cells = cells[cells["trajectories"].isin([0, world.train.trajectories])]
     print(differences(cells).round(2).to_string(index=False))
     print(f"\n{lane_changing(cells).round(3).to_string()}")
+    print(f"\nthe expert beside itself, {OF_THE_PAPER} episodes each:")
+    print(chance_ratios(cells).round(3).to_string(index=False))
     shown = training.demonstrations_of(world)
     sideways = np.isin(shown.actions, (MetaAction.LEFT, MetaAction.RIGHT)).sum() / shown.n_episodes
     print(f"\nthe demonstrations begin {sideways:.2f} lane changes an episode")

@@ -136,6 +136,15 @@ def test_what_lane_changes_cost_and_how_many_are_taken_back():
     assert found.tolist() == [0.25, -10.0, 0, 4]
 
 
+def test_how_far_a_driver_lies_from_itself_by_chance():
+    driven = cells("expert", 60.0, "", trajectories=0, seeds=50)
+    driven["overtakes"] = np.tile([30, 50], 50)  # a deviation of 10 from a mean of 40
+    found = claims.chance_ratios(driven).set_index("metric")
+    assert found.loc["lane_changes"].tolist() == [1.0, 1.0]
+    # Of a ratio of two means of 16: 1.96 * sqrt(2 / 16) * 10 / 40 = 0.173, a little more above 1 than below.
+    assert found.loc["overtakes"].tolist() == pytest.approx([1 - 0.17, 1 + 0.19], abs=0.02)
+
+
 def test_a_variant_is_set_beside_the_first_one_seed_by_seed():
     index = pd.MultiIndex.from_product([[0, 1], ["as it is", "blind"]], names=["seed", "variant"]).swaplevel()
     ratios = pd.DataFrame({"speed_kmh": [0.9, 0.8, 1.1, 1.0]}, index)
