@@ -8,7 +8,7 @@ from driving import EMPTY, world
 from rail_sumo import assets
 from rail_sumo.errors import InputError
 from rail_sumo.highway import trial
-from rail_sumo.highway.network import sumocfg
+from rail_sumo.highway.network import demand, road, sumocfg
 
 NETWORK = assets.network("highway3").read_text()
 BOMB = (
@@ -58,6 +58,28 @@ def test_what_is_no_configuration_is_refused_in_one_line(tmp_path, content):
     path = tmp_path / "bad.sumocfg"
     path.write_bytes(NO_XML[content])
     refused(lambda: sumocfg.read(path))
+
+
+@pytest.mark.parametrize(
+    ("name", "root"),
+    [
+        ("deep.net.xml", "net"),
+        ("deep.rou.xml", "routes"),
+        ("deep.add.xml", "additional"),
+        ("deep.sumocfg", "configuration"),
+    ],
+)
+def test_what_nests_so_deep_that_sumo_would_never_end_is_refused_in_one_line(tmp_path, name, root):
+    path = tmp_path / name
+    path.write_text(f'<{root} version="1.20">{"<a>" * 100_000}{"</a>" * 100_000}</{root}>')
+    read = {
+        "net": lambda: road.load(str(path)),
+        "routes": lambda: demand.read(world(traffic={"routes": [str(path)]}).traffic),
+        "additional": lambda: demand.read(world(traffic={"additional": [str(path)]}).traffic),
+        "configuration": lambda: sumocfg.read(path),
+    }[root]
+    with pytest.raises(InputError, match=r"^'.*' has elements within one another, more than 100 deep"):
+        read()
 
 
 @pytest.mark.parametrize(

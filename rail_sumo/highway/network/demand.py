@@ -15,8 +15,8 @@ from rail_sumo.highway.network import sumocfg
 from rail_sumo.highway.network.sumo_xml import (
     UNKNOWN_ENCODING,
     UNREADABLE,
+    elements,
     is_configuration,
-    opened,
     seconds,
     state_of,
 )
@@ -176,28 +176,28 @@ def _content(path: Path, state: tuple[int, int]) -> _Content:
     outputs: list[str] = []
     first_s, latest_s, last_s = math.inf, 0.0, -math.inf
     try:
-        with opened(path) as stream:
-            for _, element in ElementTree.iterparse(stream):
-                name, root = element.get("id", ""), element.tag
-                is_known = is_known or root in KNOWN
-                if name.startswith(OURS):
-                    reserved = reserved or name
-                if element.tag in ADDITIONAL:
-                    misplaced = misplaced or element.tag
-                if element.tag == "include":
-                    includes.append(element.get("href", ""))
-                outputs += filter(None, map(element.get, OUTPUTS))
-                if element.tag == "param" and element.get("key", "").endswith(OUTPUT_PARAMETER):
-                    outputs.append(element.get("value", ""))
-                if element.tag == "flow" and _rate_per_s(element) > DENSEST_FLOW_PER_S:
-                    too_dense = too_dense or name
-                if element.tag in TRAFFIC_ELEMENTS:
-                    departs_s, ends_s = _departures_s(element, otherwise=latest_s)
-                    if departs_s < latest_s:
-                        out_of_order.append(name)
-                    latest_s = max(latest_s, departs_s)
-                    first_s, last_s = min(first_s, departs_s), max(last_s, ends_s)
-                element.clear()
+        for element in elements(path):
+            name, root = element.get("id", ""), element.tag
+            is_known = is_known or root in KNOWN
+            if name.startswith(OURS):
+                reserved = reserved or name
+            if element.tag in ADDITIONAL:
+                misplaced = misplaced or element.tag
+            if element.tag == "include":
+                includes.append(element.get("href", ""))
+            outputs += filter(None, map(element.get, OUTPUTS))
+            if element.tag == "param" and element.get("key", "").endswith(OUTPUT_PARAMETER):
+                outputs.append(element.get("value", ""))
+            if element.tag == "flow" and _rate_per_s(element) > DENSEST_FLOW_PER_S:
+                too_dense = too_dense or name
+            if element.tag in TRAFFIC_ELEMENTS:
+                departs_s, ends_s = _departures_s(element, otherwise=latest_s)
+                if departs_s < latest_s:
+                    out_of_order.append(name)
+                latest_s = max(latest_s, departs_s)
+                first_s, last_s = min(first_s, departs_s), max(last_s, ends_s)
+    except InputError:
+        raise
     except (*UNREADABLE, *UNKNOWN_ENCODING) as error:
         raise InputError(f"'{path}' is not a complete XML file: {error}") from None
     if not is_known:

@@ -20,7 +20,7 @@ from rail_sumo.highway.network.borders import borders
 from rail_sumo.highway.network.course import CAR
 from rail_sumo.highway.network.edge import Edge
 from rail_sumo.highway.network.lanes import CHANGE_LEFT, CHANGE_RIGHT, survey
-from rail_sumo.highway.network.sumo_xml import UNREADABLE, opened, state_of
+from rail_sumo.highway.network.sumo_xml import UNREADABLE, opened, require_flat, state_of
 from rail_sumo.records import Floats
 
 NARROWEST_LANE_M = 2.4
@@ -190,14 +190,18 @@ def _load(path: Path, wanted: tuple[str, ...], vclass: str, state: tuple[int, in
 class _Reader(sumolib.net.NetReader):
     """Also reads what sumolib drops: `lefthand`, `changeLeft` and `changeRight`, `visibility`, and who has no foes."""
 
-    def __init__(self) -> None:
+    def __init__(self, path: Path) -> None:
         super().__init__(withInternal=True, withFoes=False)
+        self._path = path
+        self._depth = 0
         self.is_left_hand = False
         self.sight_m: dict[str, float] = {}
         self.without_foes: set[tuple[str, int]] = set()
         """Junctions, and the indices of their connections that no other stream crosses or joins."""
 
     def startElement(self, name: str, attrs: Any) -> None:
+        self._depth += 1
+        require_flat(self._path, self._depth)
         self.is_left_hand = self.is_left_hand or (name == "net" and attrs.get("lefthand") == "true")
         super().startElement(name, attrs)
         for side in (CHANGE_LEFT, CHANGE_RIGHT) if name == "lane" else ():
@@ -208,16 +212,22 @@ class _Reader(sumolib.net.NetReader):
         if name == "request" and "1" not in attrs["foes"]:
             self.without_foes.add((self._currentNode.getID(), int(attrs["index"])))
 
+    def endElement(self, name: str) -> None:
+        self._depth -= 1
+        super().endElement(name)
+
 
 @lru_cache(maxsize=16)  # the host may take another course in every episode, on one of several networks
 def _read(path: Path, state: tuple[int, int]) -> _Reader:
     # Not sumolib.net.readNet: it picks another parser when lxml is installed and leaves files open after an error.
-    reader = _Reader()
+    reader = _Reader(path)
     try:
         with opened(path) as stream, _no_garbage_collection():
             xml.sax.parse(stream, reader)
     except UNREADABLE as error:
         raise InputError(f"network '{path.name}' is not a complete XML file: {_reason(error)}") from None
+    except InputError:
+        raise
     except Exception as error:  # whatever sumolib stumbles over in a file that is XML but not a network
         raise InputError(f"network '{path.name}' is not a SUMO network: {error!r}") from None
     if not reader.getNet().getEdges(withInternal=False):

@@ -4,9 +4,11 @@ import gzip
 import xml.etree.ElementTree as ElementTree
 import xml.sax
 import zlib
-from collections.abc import Iterable
+from collections.abc import Iterable, Iterator
 from io import BufferedIOBase
 from pathlib import Path
+
+from rail_sumo.errors import InputError
 
 UNREADABLE = (xml.sax.SAXParseException, ElementTree.ParseError, zlib.error, EOFError, OSError)
 """What reading a file raises that is damaged, or no XML."""
@@ -27,11 +29,41 @@ def opened(path: Path) -> BufferedIOBase:
     return gzip.open(path) if is_compressed else path.open("rb")
 
 
+DEEPEST = 100
+"""So many elements may lie within one another. SUMO's own files have less than ten, and the time it takes to read them
+grows with the square of it."""
+
+
 def root_of(path: Path) -> ElementTree.Element:
     """Return a file's outermost element, with its attributes and nothing in it."""
     with opened(path) as stream:
         _, root = next(ElementTree.iterparse(stream, events=("start",)))
     return root
+
+
+def elements(path: Path) -> Iterator[ElementTree.Element]:
+    """Yield a file's elements as they end, each with what is in it, which is forgotten afterwards.
+
+    Raises:
+        InputError: it nests deeper than any of SUMO's files.
+        `UNREADABLE`, `UNKNOWN_ENCODING`: it is no whole XML.
+    """
+    depth = 0
+    with opened(path) as stream:
+        for event, element in ElementTree.iterparse(stream, events=("start", "end")):
+            if event == "start":
+                depth += 1
+                require_flat(path, depth)
+            else:
+                depth -= 1
+                yield element
+                element.clear()
+
+
+def require_flat(path: Path, depth: int) -> None:
+    """Raise InputError if elements lie so deep in one another as in no file of SUMO's."""
+    if depth > DEEPEST:
+        raise InputError(f"'{path}' has elements within one another, more than {DEEPEST} deep; SUMO's files have a few")
 
 
 def first_damaged(files: Iterable[Path]) -> Path | None:

@@ -13,7 +13,7 @@ from urllib.parse import unquote
 
 from rail_sumo.errors import InputError
 from rail_sumo.highway import sumo_process
-from rail_sumo.highway.network.sumo_xml import UNKNOWN_ENCODING, UNREADABLE, opened, seconds
+from rail_sumo.highway.network.sumo_xml import UNKNOWN_ENCODING, UNREADABLE, elements, seconds
 
 INPUT_FILES = (
     *("net-file", "route-files", "additional-files", "weight-files", "load-state", "phemlight-path"),
@@ -76,11 +76,12 @@ def is_ours(option: str, topic: str = "") -> bool:
 def _resolved(path: Path) -> tuple[dict[str, str], dict[str, str]]:
     """Return the topics and the values of the options that are set, by their present names, as SUMO reads them."""
     try:
-        with opened(path) as stream:  # before SUMO, which takes its time over what only looks like one
-            elements = {element.tag for element in ElementTree.parse(stream).iter()}
+        tags = {element.tag for element in elements(path)}  # before SUMO, which takes its time over what looks like one
+    except InputError:
+        raise
     except (*UNREADABLE, *UNKNOWN_ENCODING) as error:
         raise InputError(f"cannot read '{path}': {getattr(error, 'strerror', None) or error}") from None
-    if "configuration-file" in elements:
+    if "configuration-file" in tags:
         raise InputError(f"'{path}' names another configuration (configuration-file); give that one to --network")
     with tempfile.TemporaryDirectory() as folder:
         written = Path(folder) / "resolved.sumocfg"
