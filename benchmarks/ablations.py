@@ -22,7 +22,7 @@ import pandas as pd
 import variants
 from scipy import stats
 
-from rail_sumo import config, config_file, rollout, run, training
+from rail_sumo import config, config_file, learners, rollout, run, training
 from rail_sumo.imitation import rail
 from rail_sumo.imitation.random_search import RandomSearch
 from rail_sumo.run_directory import RunDirectory
@@ -134,9 +134,9 @@ def _rail(this: Training, world: config.Config, out: Path) -> dict[str, run.Who]
     search = variants.clipped_up(search) if CLIP_UP.name in this.taken else search
     search = variants.shrinking(search) if SHRINKING.name in this.taken else search
     begun = _learned(this, world, out, 0)
-    clone, judge = begun.clone, training.judge_of(begun)
+    clone, judge = begun.clone, learners.judge_of(begun)
     with rollout.workers(1) as pool, mock.patch.object(rail, "RandomSearch", search):
-        practice = training.Practice(begun, pool)
+        practice = learners.Practice(begun, pool)
         states = rail.train(
             clone.theta,
             training.demonstrations_of(world),

@@ -18,7 +18,7 @@ import kept
 import numpy as np
 import pandas as pd
 
-from rail_sumo import config_file, rollout, run, training
+from rail_sumo import config_file, learners, rollout, run, training
 from rail_sumo.imitation import gail  # noqa: F401  importing it takes seconds, which are nobody's training
 
 LEARNERS = ("rail", "gail")
@@ -42,8 +42,8 @@ def learning_curve(given: tuple[str, int, int, int]) -> pd.DataFrame:
     looks = []
     with tempfile.TemporaryDirectory() as folder, rollout.workers(1) as pool:
         begun = training.learn(world, Path(folder) / "run", seed=FIRST_SEED + seed)
-        iterations = training.LEARNERS[learner].iterate(
-            training.Practice(begun, pool), begun.checkpoint(), training.demonstrations_of(world)
+        iterations = learners.LEARNERS[learner].iterate(
+            learners.Practice(begun, pool), begun.checkpoint(), training.demonstrations_of(world)
         )
         looks.append({"iteration": 0, "steps": 0, "seconds": 0.0, "speed": speed(begun.clone) / expert})
         steps, seconds = 0, 0.0

@@ -15,7 +15,7 @@ import numpy as np
 import pandas as pd
 from scipy import stats
 
-from rail_sumo import rollout, training
+from rail_sumo import learners, rollout
 from rail_sumo.highway import metrics
 from rail_sumo.imitation import rail
 from rail_sumo.imitation.demonstrations import Demonstrations
@@ -86,7 +86,7 @@ def control(folder: Path, iterations: int | None, episodes: int) -> None:
     iterations = iterations or world.train.n_iterations
     none = Demonstrations(np.zeros((1, clone.shape.n_features)), np.zeros(1, np.int64), np.zeros(1, np.int64))
     with rollout.workers(2) as pool:
-        practice = training.Practice(learned, pool)
+        practice = learners.Practice(learned, pool)
 
         def evaluate(theta, perturbations, iteration):
             return practice.pairs(replace(clone, theta=theta), perturbations, iteration)

@@ -16,7 +16,7 @@ from pathlib import Path
 import numpy as np
 import pandas as pd
 
-from rail_sumo import rollout, run, training
+from rail_sumo import learners, rollout, run, training
 from rail_sumo.run_directory import RunDirectory
 
 FIGURES = {
@@ -30,7 +30,7 @@ def correlations(learned: RunDirectory, noise_std: float, n_directions: int, poo
     """Correlations over directions: rows are figures on one traffic, columns figures on the other."""
     policy = learned.checkpoint().learned
     deltas = np.random.default_rng(0).standard_normal((n_directions, policy.shape.size))
-    practice = training.Practice(learned, pool)
+    practice = learners.Practice(learned, pool)
     differences = []
     for traffic in (-1, -2):  # no training's iterations
         plus, minus = practice.pairs(policy, noise_std * deltas, 2**31 + traffic)
@@ -62,8 +62,8 @@ def main() -> None:
     parser.add_argument("--workers", type=int, default=2)
     given = parser.parse_args()
     learned = RunDirectory(given.run)
-    judge = training.judge_of(learned)
-    payer = training.judge_with_reward(judge, learned.config)
+    judge = learners.judge_of(learned)
+    payer = learners.judge_with_reward(judge, learned.config)
     for whose, mean in verdicts(learned, judge, given.workers).items():
         print(f"the judge's mean verdict on {whose}: {mean:.3f}")
     with rollout.workers(given.workers) as pool:

@@ -26,7 +26,7 @@ from stable_baselines3 import PPO
 from stable_baselines3.common.policies import ActorCriticPolicy
 from stable_baselines3.common.vec_env import DummyVecEnv
 
-from rail_sumo import config_file, rollout, run, training
+from rail_sumo import config_file, learners, rollout, run, training
 from rail_sumo.highway.env import HighwayEnv
 from rail_sumo.highway.observation import feature_names
 from rail_sumo.imitation import bc as ours
@@ -88,7 +88,7 @@ def taught(world, demonstrations, seed: int, rounds: int) -> dict[str, PolicyPar
     ppo = PPO(
         "MlpPolicy",
         venv,
-        n_steps=world.gail.rollouts * training.horizon_decisions(world),
+        n_steps=world.gail.rollouts * learners.horizon_decisions(world),
         batch_size=world.gail.batch_size,
         policy_kwargs={"net_arch": {"pi": [shape.hidden], "vf": list(world.gail.critic_hidden)}},
         seed=seed,

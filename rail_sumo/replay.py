@@ -9,7 +9,7 @@ from urllib.parse import quote
 import numpy as np
 import pandas as pd
 
-from rail_sumo import assets, rollout, training
+from rail_sumo import assets, learners, rollout
 from rail_sumo.config import Config
 from rail_sumo.errors import InputError
 from rail_sumo.files import check_file
@@ -58,7 +58,7 @@ def write(
     shots = [rollout.film(Task(who, world, traffic)) for who in policies.values()]
     below = ground.near(shots[0][0].network, *np.concatenate([camera.places for camera, _ in shots], axis=1))
     films = [
-        camera.film(name, trajectory, below, training.verdicts(judges[name], trajectory) if name in judges else ())
+        camera.film(name, trajectory, below, learners.verdicts(judges[name], trajectory) if name in judges else ())
         for name, (camera, trajectory) in zip(policies, shots, strict=True)
     ]
     about = {

@@ -13,7 +13,7 @@ import pandas as pd
 import pyarrow as pa
 import pyarrow.parquet as pq
 
-from rail_sumo import assets, config_file, drivers, training
+from rail_sumo import assets, config_file, drivers, learners, training
 from rail_sumo.config import Config
 from rail_sumo.config_file import dumps
 from rail_sumo.errors import InputError, did_you_mean
@@ -119,7 +119,7 @@ def find_driver(policy: str, world: Config, mode: str = "default") -> Who:
 
 
 def judges_of(policies: Iterable[str]) -> dict[str, RunDirectory]:
-    """Return the runs of those policies that were learned, which may have a judge; see `training.verdicts`."""
+    """Return the runs of those policies that were learned, which may have a judge; see `learners.verdicts`."""
     learned = [policy for policy in policies if policy in drivers.SHIPPED or not drivers.is_name(policy)]
     folders = {policy: _folder_of(policy) for policy in learned}
     return {policy: RunDirectory(folder) for policy, folder in folders.items() if not assets.is_expert(folder)}
@@ -300,7 +300,7 @@ def train(
     expert = drivers.load_expert(config)
     run = training.learn(config, out, seed=seed, workers=workers, resume=resume, observer=observer)
     policies: dict[str, Who] = {config.train.learner: run.policy()}
-    if training.learner_of(config).compared_with_clone:
+    if learners.learner_of(config).compared_with_clone:
         policies |= {f"clone, {mode}": run.clone.acting(mode) for mode in (ARGMAX, SAMPLED)}
     policies[report.EXPERT] = expert
     episodes = config.train.evaluation_episodes

@@ -12,7 +12,7 @@ import pandas as pd
 import pytest
 from safetensors.numpy import load_file
 
-from rail_sumo import registry, training
+from rail_sumo import learners, registry
 from rail_sumo.config_file import load
 from rail_sumo.errors import InputError
 from rail_sumo.imitation.losses import LOSSES
@@ -122,12 +122,12 @@ def test_the_demonstrations_shown_are_learned_from(shown):
         ),
         ("nowhere:X", r"learner 'nowhere:X': No module named 'nowhere'; install it, or add its folder to PYTHONPATH"),
         ("math:X", r"learner 'math:X': module 'math' has no 'X'"),
-        ("math:pi", r"learner 'math:pi' must be a rail_sumo\.training\.Learner; it is a float"),
+        ("math:pi", r"learner 'math:pi' must be a rail_sumo\.learners\.Learner; it is a float"),
     ],
 )
 def test_what_is_no_learner_is_refused_in_one_line(name, message):
     with pytest.raises(InputError, match=f"^{message}"):
-        training.learner_of(load(None, [f"train.learner={name}"]))
+        learners.learner_of(load(None, [f"train.learner={name}"]))
 
 
 def test_what_is_known_by_name_is_found_without_importing_anything():

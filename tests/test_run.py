@@ -14,7 +14,7 @@ import pytest
 from safetensors import safe_open
 from safetensors.numpy import load_file, save_file
 
-from rail_sumo import assets, config, config_file, drivers, rollout, run, training
+from rail_sumo import assets, config, config_file, drivers, learners, rollout, run, training
 from rail_sumo.errors import InputError, NotBegun
 from rail_sumo.highway.reward import total_reward
 from rail_sumo.highway.simulation import HOST
@@ -616,7 +616,7 @@ def test_what_is_read_is_known_by_its_content(small, tmp_path):
 @pytest.mark.parametrize(("period_s", "decisions"), [(1.0, 200), (2.0, 100), (0.1, 2000)])
 def test_the_horizon_in_decisions_depends_on_their_pace(period_s, decisions):
     world = config_file.load(None, [f"episode.decision_period_s={period_s}"])
-    assert training.horizon_decisions(world) == decisions
+    assert learners.horizon_decisions(world) == decisions
 
 
 def test_how_a_policy_acts_is_kept_in_its_run_and_may_be_changed_for_a_look(small, driven, tmp_path):

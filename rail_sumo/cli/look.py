@@ -62,10 +62,10 @@ def show_config(
     overrides: Overrides = None,
 ) -> None:
     """Print every key with what it means and its value, as TOML; a file to start from."""
-    from rail_sumo import training
+    from rail_sumo import learners
 
     chosen = config_file.load(config_path, overrides_of(network, routes, overrides))
-    training.learner_of(chosen)  # or there is none of that name
+    learners.learner_of(chosen)  # or there is none of that name
     print(config_file.explained(chosen), end="")
 
 

@@ -17,7 +17,7 @@ from typing import Any
 import numpy as np
 import pandas as pd
 
-from rail_sumo import drivers, rollout, run, training
+from rail_sumo import drivers, learners, rollout, run, training
 from rail_sumo.config import Config
 from rail_sumo.config_file import dumps, validate
 from rail_sumo.errors import InputError
@@ -222,7 +222,7 @@ def _world(cell: Cell, config: Config, quick: bool) -> Config:
     if not system.trains:
         return training.resolved(config)
     world = config.changed(**system.sections).changed(train={"trajectories": cell.trajectories})
-    learner = training.learner_of(world)
+    learner = learners.learner_of(world)
     if not learner.iterations:
         return training.resolved(world.changed(train={"iterations": "default"}))
     if quick and config.train.iterations == "default":
