@@ -21,7 +21,8 @@ from rail_sumo.errors import InputError, NotBegun
 from rail_sumo.highway import metrics
 from rail_sumo.highway.camera import Camera
 from rail_sumo.highway.env import HighwayEnv
-from rail_sumo.highway.fleet import Decide, Fleet, Instead
+from rail_sumo.highway.fleet import Fleet, Instead
+from rail_sumo.highway.rides import Decide
 from rail_sumo.policy import PolicyParameters
 from rail_sumo.records import EndReason, Floats, Trajectory
 
