@@ -102,6 +102,9 @@ class Traffic(_Section):
     are rail-sumo's to set: time, contacts, outputs."""
     vehicles: Annotated[int, Field(ge=0, le=500)] = 18
     """In the moving window, beside the host."""
+    driven: Annotated[int, Field(ge=0)] = 0
+    """How many of these are driven too, by the same driver as the host. Each has its own senses, decisions and
+    assistance; lorries are not driven."""
     ahead_m: Annotated[float, Field(ge=50.0, le=2000.0)] = 250.0
     """How far the window reaches ahead of the host."""
     behind_m: Annotated[float, Field(ge=50.0, le=2000.0)] = 150.0
@@ -134,6 +137,12 @@ class Traffic(_Section):
             lowest, highest = self.desired_kmh(1.0)
             if lowest > highest:
                 raise ValueError(f"speed_low_kmh {self.speed_low_kmh} is above speed_high_kmh {self.speed_high_kmh}")
+        return self
+
+    @model_validator(mode="after")
+    def _driven_of_vehicles(self) -> "Traffic":
+        if self.driven > self.vehicles:
+            raise ValueError(f"driven {self.driven} is above vehicles {self.vehicles}, of which they are; lower it")
         return self
 
     def desired_kmh(self, limit_kmh: float) -> tuple[float, float]:

@@ -21,7 +21,8 @@ from rail_sumo.errors import InputError, NotBegun
 from rail_sumo.highway import metrics
 from rail_sumo.highway.camera import Camera
 from rail_sumo.highway.env import HighwayEnv
-from rail_sumo.highway.fleet import Decide, Fleet, Instead
+from rail_sumo.highway.fleet import Fleet, Instead
+from rail_sumo.highway.rides import Decide
 from rail_sumo.policy import PolicyParameters
 from rail_sumo.records import EndReason, Floats, Trajectory
 
@@ -140,7 +141,10 @@ def _drive(task: Task, driver: drivers.Driver) -> Trajectory:
 
 def _world_of(task: Task, driver: drivers.Driver) -> HighwayEnv:
     return HighwayEnv(
-        task.config.seen_with(driver.senses), hands_off=drivers.hands_off(task.driver), outputs=task.outputs
+        task.config.seen_with(driver.senses),
+        hands_off=drivers.hands_off(task.driver),
+        outputs=task.outputs,
+        companions=deciders(task.driver, task.config, task.seed),
     )
 
 
@@ -160,6 +164,15 @@ def driver_of(who: Who, config: Config, seed: int) -> drivers.Driver:
     return who
 
 
+def deciders(who: Who, world: Config, seed: int) -> Callable[[str], Decide]:
+    """Return what gives each of many vehicles a driver; what that draws follows from the seed and the vehicle's id."""
+
+    def decides(vehicle: str) -> Decide:
+        return driver_of(who, world, traffic_seed(seed, *vehicle.encode())).decide
+
+    return decides
+
+
 def fleet_of(who: Who | Instead, world: Config, share: float, seed: int, outputs: Sequence[str] = ()) -> Fleet:
     """Return a demand of which a share is driven, as the driver senses it; each vehicle draws by its own id.
 
@@ -172,11 +185,7 @@ def fleet_of(who: Who | Instead, world: Config, share: float, seed: int, outputs
     """
     if who in ("nothing", "acc"):
         return Fleet(world, share, seed, who, outputs)
-
-    def decides(vehicle: str) -> Decide:
-        return driver_of(who, world, traffic_seed(seed, *vehicle.encode())).decide
-
-    return Fleet(world.seen_with(getattr(who, "senses", None)), share, seed, decides, outputs)
+    return Fleet(world.seen_with(getattr(who, "senses", None)), share, seed, deciders(who, world, seed), outputs)
 
 
 WorkerCount = int | Literal["ray"]

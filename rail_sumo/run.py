@@ -35,6 +35,7 @@ from rail_sumo.rollout import (
     Who,
     WorkerCount,
     attempt_all,
+    deciders,
     driver_of,
     practise_all,
     traffic_seed,
@@ -343,7 +344,7 @@ def require_drivable(world: Config, episodes: int = 1) -> None:
     if episodes < 1:
         raise InputError(f"episodes must be at least 1; got {episodes}")
     for fixed in varied.one_of_each(world):
-        HighwayEnv(fixed)
+        HighwayEnv(fixed, companions=deciders("keep", fixed, 0))
 
 
 def _require_folder(policy: Path) -> None:

@@ -69,6 +69,8 @@ def sections(model):
             st.integers(1, 10**6),
         )
         drawn = st.builds(lambda fields, batches: fields | batches, drawn, whole)
+    if model is config.Traffic:  # those who are driven are among all
+        drawn = drawn.map(lambda fields: fields | {"driven": min(fields["driven"], fields["vehicles"])})
     if model is config.Adas:
         drawn = drawn.map(
             lambda fields: (

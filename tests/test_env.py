@@ -307,7 +307,7 @@ def test_the_traffic_is_told_how_much_time_went_by_and_whether_the_host_changes_
     monkeypatch.setattr(
         MovingWindow,
         "update",
-        lambda self, *, elapsed_s, host_changing_lane: told.append((elapsed_s, host_changing_lane)),
+        lambda self, *, elapsed_s, changing_lane: told.append((elapsed_s, HOST in changing_lane)),
     )
     env = make(world(traffic=EMPTY))
     env.reset(seed=3)

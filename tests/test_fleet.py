@@ -15,6 +15,7 @@ from sketch import cut_road
 from rail_sumo import config_file, rollout, run
 from rail_sumo.errors import InputError
 from rail_sumo.highway import fleet
+from rail_sumo.highway.agent import Agent
 from rail_sumo.highway.env import HighwayEnv
 from rail_sumo.highway.fleet import Fleet, is_driven
 from rail_sumo.highway.simulation import Simulation
@@ -91,7 +92,7 @@ def test_a_fleet_of_one_drives_as_the_environment_has_it_to_the_byte(monkeypatch
 
     monkeypatch.setattr(fleet, "is_driven", lambda vehicle, share, seed: vehicle == chosen)
     kept = []
-    monkeypatch.setattr(fleet.Agent, "decide", keep_host(fleet.Agent.decide, kept))
+    monkeypatch.setattr(Agent, "decide", keep_host(Agent.decide, kept))
     Fleet(seen, 1.0, SEED, driver(who, world)).drive(entered_s + lasted_s)
     assert len(expected) > 100
     assert kept[0].speeds_mps[: len(expected)] == expected[: len(kept[0].speeds_mps)]

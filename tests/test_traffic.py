@@ -40,7 +40,7 @@ class Window:
 
     def drive(self, seconds=2.0, *, host_changing_lane=False):
         self.simulation.run(Command(self.host_mps, steps=round(seconds * 10)))
-        self.window.update(elapsed_s=seconds, host_changing_lane=host_changing_lane)
+        self.window.update(elapsed_s=seconds, changing_lane=[HOST] if host_changing_lane else [])
 
     def others(self):
         return [name for name in libsumo.vehicle.getIDList() if name != HOST]
@@ -262,6 +262,23 @@ def test_those_far_behind_the_host_change_lanes_while_it_does(window, monkeypatc
     assert min(ordered) < -CLEAR_OF_HOST_M - 10.0
     assert max(ordered) > CLEAR_OF_HOST_M + 10.0
     assert np.abs(ordered).min() >= CLEAR_OF_HOST_M - 1.0
+
+
+@pytest.mark.parametrize("everybody_changes", [False, True])
+def test_nobody_is_put_beside_a_vehicle_that_changes_lanes(window, everybody_changes):
+    begun, apart_m = window(5), []
+    known = set(begun.others())
+    for _ in range(60):
+        begun.simulation.run(Command(begun.host_mps, steps=19))
+        there_m = begun.ahead_m()
+        begun.window.update(elapsed_s=2.0, changing_lane=begun.others() if everybody_changes else [])
+        begun.simulation.run(Command(begun.host_mps))  # the new ones enter on this step
+        now_m = begun.ahead_m()
+        stayed_m = [there_m[name] for name in there_m.keys() & now_m.keys()]
+        apart_m += [min(abs(now_m[name] - m) for m in stayed_m) for name in now_m.keys() - known]
+        known |= now_m.keys()
+    assert len(apart_m) >= 8
+    assert (min(apart_m) > CLEAR_OF_HOST_M - 4.0) == everybody_changes
 
 
 def test_of_two_that_would_move_into_one_lane_side_by_side_one_is_told_to(window, monkeypatch):

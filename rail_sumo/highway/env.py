@@ -16,8 +16,10 @@ from rail_sumo.errors import InputError, did_you_mean
 from rail_sumo.highway import drawing, entry, sumo_process, varied, window
 from rail_sumo.highway.adas import lanes_leading_on
 from rail_sumo.highway.agent import Agent
+from rail_sumo.highway.companions import Companions
 from rail_sumo.highway.network import demand, markings, road
 from rail_sumo.highway.observation import bounds
+from rail_sumo.highway.rides import Decide
 from rail_sumo.highway.simulation import HOST, Simulation
 from rail_sumo.highway.stretch import Stretch
 from rail_sumo.highway.traffic import MovingWindow
@@ -45,9 +47,11 @@ class HighwayEnv(gymnasium.Env[Floats, np.int64]):
         outputs: further options of SUMO's, such as those of its own reports, which are whole once an episode is closed.
         render_mode: "rgb_array": `render` returns the road around the host from above, at its last decision; "human":
             every decision is shown so in a window. Needs the extra `render`.
+        companions: returns what decides for one of the `traffic.driven` vehicles around the host, by its id.
 
     Raises:
-        InputError: a world that cannot be driven, another render mode, or what it needs is not installed.
+        InputError: a world that cannot be driven, nobody decides for `traffic.driven`, another render mode, or what it
+            needs is not installed.
     """
 
     metadata = {"render_modes": list(RENDER_MODES), "render_fps": 1.0}  # noqa: RUF012  gymnasium reads it from the class
@@ -62,13 +66,22 @@ class HighwayEnv(gymnasium.Env[Floats, np.int64]):
         hands_off: bool | str = False,
         outputs: Sequence[str] = (),
         render_mode: str | None = None,
+        companions: Callable[[str], Decide] | None = None,
     ) -> None:
         self.config = config or Config()
+        self._decider_of = companions
+        self.companions: Companions | None = None
+        """The driven vehicles around the host; None while there are none."""
         self.render_mode = checked(render_mode)
         self.metadata = metadata_of(self.config)
         self._hands_off = hands_off
         self._outputs = outputs
         self._settle(varied.draw(self.config, 0))
+        if self.config.traffic.driven and companions is None:
+            raise InputError(
+                f"traffic.driven is {self.config.traffic.driven}, and nobody decides for these vehicles; give the "
+                "environment `companions`, which returns what decides for one of them, or set traffic.driven to 0"
+            )
         self.observation_space = spaces.Box(*bounds(self.config.lidar, self.config.observation), dtype=np.float64)
         self.action_space = spaces.Discrete(len(MetaAction))
         self._agent: Agent | None = None
@@ -131,6 +144,7 @@ class HighwayEnv(gymnasium.Env[Floats, np.int64]):
             limit_factor=self.world.network.limit_factor,
         )
         self._traffic: MovingWindow | None = None
+        self.companions = None
         if self.is_one_of_the_demand:
             self.stretch = entry.take_over(simulation, self.world, self.demand, rng)
         else:
@@ -143,13 +157,17 @@ class HighwayEnv(gymnasium.Env[Floats, np.int64]):
             hands_off=self._hands_off,
             enters_as_traffic=self.demand.has_traffic and adas.starts_by_the_limit,
         )
+        if self._traffic is not None and self._decider_of is not None and traffic.driven:
+            self.companions = Companions(
+                simulation, self._traffic, self.stretch, self.world, self._decider_of, hands_off=self._hands_off
+            )
 
     def _add_host(self, simulation: Simulation, rng: np.random.Generator) -> None:
         """Add a host of ours to the demand, or to a window of traffic that is made for it."""
         traffic, adas, stretch = self.world.traffic, self.world.adas, self.stretch
         place = stretch.road.place(stretch.start_m)
         assert place is not None  # or nothing were drivable
-        simulation.lay_course(stretch.road, adas, sees_m=stretch.sees_m)
+        simulation.lay_course(stretch.road, adas, sees_m=stretch.sees_m, shares_type=traffic.driven > 0)
         edge = stretch.road.edges[place[0]]
         lanes = lanes_leading_on(edge.ends_in_m(place[1]))
         lane = lanes[int(rng.integers(len(lanes)))]
@@ -203,10 +221,10 @@ class HighwayEnv(gymnasium.Env[Floats, np.int64]):
             InputError: SUMO gives up, for example at a vehicle of the user's demand that cannot drive its route.
         """
         simulation, agent = self._under_way(), self.agent
-        before = agent.n_steps
+        before, step = agent.n_steps, self.companions.step if self.companions else None
         agent.decide(MetaAction(action))
         while True:
-            agent.note(simulation.run(agent.command()))
+            agent.note(simulation.run(agent.command(), step))
             if agent.is_due:
                 break
         driven = agent.n_steps - before
@@ -223,9 +241,10 @@ class HighwayEnv(gymnasium.Env[Floats, np.int64]):
         """Sense, check whether the episode is over, and replace vehicles that left the window."""
         assert self._simulation is not None
         observation = self.agent.look(self._simulation.scene())
-        if self._traffic is not None:
-            elapsed_s = driven * SECONDS_PER_STEP
-            self._traffic.update(elapsed_s=elapsed_s, host_changing_lane=self.agent.is_changing_lane)
+        traffic = self.companions or self._traffic
+        if traffic is not None:
+            changing_lane = [self.host_name] if self.agent.is_changing_lane else []
+            traffic.update(elapsed_s=driven * SECONDS_PER_STEP, changing_lane=changing_lane)
         return observation
 
     @property

@@ -10,16 +10,12 @@ from rail_sumo import assets
 from rail_sumo.config import Config
 from rail_sumo.errors import CourseError, InputError
 from rail_sumo.highway import sumo_process
-from rail_sumo.highway.agent import Agent
-from rail_sumo.highway.host import Host
 from rail_sumo.highway.network import demand, road
 from rail_sumo.highway.network.demand import Demand
-from rail_sumo.highway.rides import Ride, Rides
+from rail_sumo.highway.rides import Decide, Ride, Rides
 from rail_sumo.highway.simulation import Inserted, Simulation
-from rail_sumo.records import SECONDS_PER_STEP, Floats, Lane, MetaAction
+from rail_sumo.records import SECONDS_PER_STEP, Lane
 
-Decide = Callable[[Floats, Agent], int]
-"""What decides for a vehicle: from what it observes, and the agent itself, the next `MetaAction`."""
 Instead = Literal["nothing", "acc"]
 """What a vehicle of the share gets in place of a driver: nothing, or SUMO's own adaptive cruise control."""
 
@@ -92,8 +88,7 @@ class Fleet:
         """The vehicle types of the cars among them. SUMO is not asked for others: it would draw from distributions."""
         self.teleported: list[tuple[float, str]] = []
         """Who was taken off the road to be put on again elsewhere, and when."""
-        self._decide: dict[str, Decide] = {}
-        self._world = self.world.changed(episode={"course_m": math.inf, "duration_s": 1e9})
+        self._world = self.world.practice(math.inf)
 
     @sumo_process.as_input_errors
     def drive(self, until_s: float) -> list[int]:
@@ -121,17 +116,12 @@ class Fleet:
                 if number % round(1.0 / SECONDS_PER_STEP) == 0:
                     on_road.append(simulation.n_on_road)
             for ride in everybody.rides.values():
-                self._count_contacts(ride.agent.host)
+                self._count(ride)
         return on_road
 
     def _step(self, simulation: Simulation, everybody: Rides) -> None:
-        for name, ride in list(everybody.rides.items()):
-            if self._is_over(simulation, ride):
-                self._count_contacts(everybody.part(name).agent.host)
-            elif ride.is_idle:
-                self._command(simulation, ride)
-        for gone in everybody.step():
-            self._count_contacts(gone.agent.host)
+        for gone in everybody.drive():
+            self._count(gone)
         self.teleported += [(simulation.now_s, name) for name in simulation.teleporting()]
         for car in simulation.departed():
             self.inserted[car.name] = car
@@ -153,30 +143,13 @@ class Fleet:
             self.driven.add(car.name)
             return
         try:
-            everybody.enter(car)
+            everybody.enter(car, decide=self.driver(car.name))
         except CourseError as error:  # too short, or not on lanes that a host may use
             self.undriven[car.name] = str(error)
             return
-        self._decide[car.name] = self.driver(car.name)
         self.driven.add(car.name)
 
-    def _is_over(self, simulation: Simulation, ride: Ride) -> bool:
-        """Look around if it is time to, and return whether a vehicle has driven as far as it can."""
-        agent = ride.agent
-        if agent.host.is_lost:
-            return True
-        if ride.is_idle and agent.is_due:
-            agent.look(simulation.scene(agent.host))
-        return agent.end is not None
-
-    def _command(self, simulation: Simulation, ride: Ride) -> None:
-        """Have a vehicle decide if it is time to, and give it its next command."""
-        agent = ride.agent
-        if agent.is_due:
-            agent.decide(MetaAction(self._decide[agent.host.name](agent.observation, agent)))
-            self.decisions += 1
-        ride.command(simulation)
-
-    def _count_contacts(self, host: Host) -> None:
-        self.contacts += host.collisions + host.struck
-        self.struck_another += host.collisions
+    def _count(self, ride: Ride) -> None:
+        self.contacts += ride.contacts
+        self.struck_another += ride.agent.host.collisions
+        self.decisions += ride.decisions

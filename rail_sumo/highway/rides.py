@@ -1,23 +1,57 @@
-"""The driven vehicles of a simulation: they enter, drive step by step, and are the demand's again afterwards."""
+"""The driven vehicles of a simulation: they enter, drive step by step, and are SUMO's again afterwards."""
+
+from collections.abc import Callable
 
 from rail_sumo.config import Config
 from rail_sumo.highway import entry
 from rail_sumo.highway.agent import Agent
 from rail_sumo.highway.simulation import Inserted, Simulation
 from rail_sumo.highway.stretch import Stretch
+from rail_sumo.records import Floats, MetaAction
+
+Decide = Callable[[Floats, Agent], int]
+"""What decides for a vehicle: from what it observes, and the agent itself, the next `MetaAction`."""
 
 
 class Ride:
-    """An agent among others, and how far it has carried out its present command."""
+    """An agent among others, and how far it has carried out its present command.
 
-    def __init__(self, agent: Agent) -> None:
+    Args:
+        agent: the agent.
+        decide: what decides for it; None where somebody else tells it to.
+    """
+
+    def __init__(self, agent: Agent, decide: Decide | None = None) -> None:
         self.agent = agent
+        self._decide = decide
+        self.decisions = 0
+        """How many have been taken for it."""
         self._ordered = self._driven = 0  # steps of the present command
 
     @property
     def is_idle(self) -> bool:
         """Whether its last command has been carried out."""
         return self._driven == self._ordered
+
+    @property
+    def contacts(self) -> int:
+        """How often its vehicle struck another or was struck."""
+        return self.agent.host.collisions + self.agent.host.struck
+
+    def is_over(self, simulation: Simulation) -> bool:
+        """Look around if it is time to, and return whether it has driven as far as it can."""
+        agent = self.agent
+        if agent.host.is_lost:
+            return True
+        if self.is_idle and agent.is_due:
+            agent.look(simulation.scene(agent.host))
+        return agent.end is not None
+
+    def decide(self) -> None:
+        """Take a decision for it."""
+        assert self._decide is not None
+        self.agent.decide(MetaAction(self._decide(self.agent.observation, self.agent)))
+        self.decisions += 1
 
     def command(self, simulation: Simulation) -> None:
         """Give its next command."""
@@ -50,17 +84,26 @@ class Rides:
         simulation: where they drive.
         world: how they sense and drive, and when their episodes end.
         keeps_trajectory: whether they keep what they did; see `Agent`.
+        hands_off: leave them to SUMO's own driver; see `Agent`.
     """
 
-    def __init__(self, simulation: Simulation, world: Config, *, keeps_trajectory: bool) -> None:
+    def __init__(
+        self, simulation: Simulation, world: Config, *, keeps_trajectory: bool, hands_off: bool | str = False
+    ) -> None:
         self._simulation = simulation
         self._world = world
         self._keeps_trajectory = keeps_trajectory
+        self._hands_off = hands_off
         self.rides: dict[str, Ride] = {}
         """Those that are on the road, by their vehicles' ids."""
 
-    def enter(self, car: Inserted, stretch: Stretch | None = None) -> Ride:
+    def enter(self, car: Inserted, stretch: Stretch | None = None, decide: Decide | None = None) -> Ride:
         """Take over a vehicle that has just been inserted, along its route or a stretch of it.
+
+        Args:
+            car: the vehicle.
+            stretch: what it drives; by default along its route.
+            decide: what decides for it in `drive`.
 
         Raises:
             CourseError: its route cannot be driven.
@@ -74,10 +117,11 @@ class Rides:
             host,
             stretch,
             self._world,
+            hands_off=self._hands_off,
             enters_as_traffic=self._world.adas.starts_by_the_limit,
             keeps_trajectory=self._keeps_trajectory,
         )
-        self.rides[car.name] = Ride(agent)
+        self.rides[car.name] = Ride(agent, decide)
         return self.rides[car.name]
 
     def part(self, name: str) -> Ride:
@@ -85,6 +129,21 @@ class Rides:
         ride = self.rides.pop(name)
         self._simulation.hand_back(ride.agent.host)
         return ride
+
+    def drive(self) -> list[Ride]:
+        """Let everybody decide for whom it is time to, and drive one step; returns those who are driven no longer.
+
+        Those who have driven as far as they can are SUMO's from this step on; others have left the road in it.
+        """
+        over = []
+        for name, ride in list(self.rides.items()):
+            if ride.is_over(self._simulation):
+                over.append(self.part(name))
+            elif ride.is_idle:
+                if ride.agent.is_due:
+                    ride.decide()
+                ride.command(self._simulation)
+        return over + self.step()
 
     def step(self) -> list[Ride]:
         """Let everybody drive one step; returns those who have left the road in it."""

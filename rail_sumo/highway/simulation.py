@@ -129,7 +129,7 @@ class Inserted:
 
 
 class Simulation:
-    """SUMO on one network, with the vehicles that are driven, its `hosts`, once they have a course; `host` is the last.
+    """SUMO on one network, with the vehicles that are driven, its `hosts`, once they have a course.
 
     libsumo holds one simulation a process, so a second one is refused while the first is open. Close it, or use it as
     a context manager.
@@ -167,7 +167,7 @@ class Simulation:
         self._routes: dict[tuple[str, ...], str] = {}
         self._held: dict[str, _Held] = {}  # vehicles kept from changing lanes, by their id
         self.hosts: list[Host] = []
-        """The vehicles that are driven."""
+        """The vehicles that are driven; the first is `host`."""
         self.watch: Callable[[], None] | None = None
         """Called after every step, to look at what there is and change nothing."""
         self._prefix = f"{OURS}{os.getpid()}_"
@@ -229,11 +229,11 @@ class Simulation:
             host: the id of its vehicle.
             shares_type: whether there will be several.
         """
-        self.host = Host(road, adas, lambda: self.scene(added), host, self._claims, shares_type=shares_type)
-        added = self.host
+        added = Host(road, adas, lambda: self.scene(added), host, self._claims, shares_type=shares_type)
         self._sees[host] = _Sees(sees_m, is_left_hand=road.is_left_hand)
         self._edges = road.edge_of
         self.hosts.append(added)
+        self.host = self.hosts[0]
         return added
 
     def _claims(self, name: str) -> Iterator[tuple[str, str]]:
@@ -277,7 +277,11 @@ class Simulation:
         self._enter(f"{min(speed_mps if there_mps is None else there_mps, ceiling_mps):.3f}")
 
     def departed(self) -> list["Inserted"]:
-        """Return the demand's vehicles that have been inserted in the last step; not those that park."""
+        """Return the vehicles that have been inserted in the last step; not those that park."""
+        return self.inserted(libsumo.simulation.getDepartedIDList())
+
+    def inserted(self, names: Iterable[str]) -> list["Inserted"]:
+        """Return some of the vehicles that are on the road, as they are now; not those that park."""
         get = libsumo.vehicle
         return [
             Inserted(
@@ -294,21 +298,22 @@ class Simulation:
                 fastest_mps=get.getMaxSpeed(name),
                 emission_class=get.getEmissionClass(name),
             )
-            for name in libsumo.simulation.getDepartedIDList()
+            for name in names
             if get.getRoadID(name) == way_of(name)[0]
         ]
 
     def take_over(self, car: "Inserted") -> None:
-        """Make a vehicle of the demand that has just been inserted the host: as large as it is, and on its route."""
+        """Make a vehicle that has just been inserted the last of the hosts: as large as it is, and on its route."""
+        host = self.hosts[-1]
         libsumo.vehicle.setType(car.name, HOST_TYPE)
-        self.host.become(car.own, speed_mps=car.speed_mps, fastest_mps=car.fastest_mps)
-        self.host.take_over(car.speed_mps)
-        self.host.begin()
+        host.become(car.own, speed_mps=car.speed_mps, fastest_mps=car.fastest_mps)
+        host.take_over(car.speed_mps)
+        host.begin()
         self._held.pop(car.name, None)
         self._taken_over[car.name] = car
 
     def hand_back(self, host: Host) -> None:
-        """Let SUMO's own driver drive a vehicle of the demand again, as the one that it was."""
+        """Let SUMO's own driver drive a vehicle again, as the one that it was."""
         car = self._taken_over[host.name]
         host.let_go(car.kind, speed_factor=car.speed_factor)
         self._forget(host)
@@ -333,9 +338,11 @@ class Simulation:
         )
 
     def remove_vehicle(self, name: str) -> None:
-        """Take a vehicle off the road."""
+        """Take a vehicle off the road; it may be one of the hosts, but not `host`."""
         libsumo.vehicle.remove(name)
         self._sizes.pop(name, None)
+        for driven in [host for host in self.hosts if host.name == name]:
+            self._forget(driven)
 
     def lane_beside(self, name: str, side: int) -> int | None:
         """Return the lane to a vehicle's left (+1) or right (-1) that it could be ordered into.
@@ -487,14 +494,19 @@ class Simulation:
 
     # Time goes on.
 
-    def run(self, command: Command) -> int:
-        """Carry a command to the one host out and return the number of steps driven.
+    def run(self, command: Command, step: Callable[[], None] | None = None) -> int:
+        """Carry a command to `host` out and return the number of steps driven.
 
         They are fewer than asked where the host collides, or has to look again at a junction ahead.
+
+        Args:
+            command: what it is to do.
+            step: drives one step, where others are driven too.
         """
         self.obey(self.host, command)
+        step = step or self._step
         for driven in range(1, command.steps + 1):
-            self._step()
+            step()
             if self.host.contact or self.host.junctions.must_look:
                 return driven
         return command.steps

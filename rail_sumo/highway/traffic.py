@@ -1,5 +1,6 @@
 """The surrounding vehicles where the user brings none: a window that moves with the host."""
 
+from collections.abc import Collection, Sequence
 from itertools import count
 
 import numpy as np
@@ -13,7 +14,7 @@ START_GAP_M, START_GAP_S = 30.0, 1.5
 """Room around a vehicle in its lane when the window is filled: the longer of these at the highest desired speed. SUMO
 leaves out who is too close to drive so fast."""
 CLEAR_OF_HOST_M = 40.0
-"""While the host changes lanes, no vehicle this near it is told to."""
+"""While the host or another driven vehicle changes lanes, no vehicle this near it is told to, and none enters there."""
 CLEAR_OF_ANOTHER_M = 20.0
 """Of two vehicles this near each other only one is told to move into a lane: drivers who move into it from either side
 do not see each other in time."""
@@ -29,7 +30,8 @@ class MovingWindow:
     """Vehicles in a window around the host, each with its own desired speed, changing lanes at random.
 
     A vehicle that leaves the window is replaced at an edge of it: ahead when the new one is slower than the host,
-    behind when it is faster.
+    behind when it is faster. The first `traffic.driven` cars are `driven`; when one of them leaves, the car that enters
+    next takes its place among them. What drives them is not decided here.
 
     Args:
         simulation: where they drive.
@@ -63,8 +65,11 @@ class MovingWindow:
         self._end_m = host_s_m + farthest_m + traffic.ahead_m
         self._rng = rng
         self._names = count()
-        self._start_m: dict[str, float] = {}  # place on the course at insertion; an odometer adds the rest
+        self.start_m: dict[str, float] = {}
+        """Everybody's place on the course at insertion; an odometer adds the rest."""
         self._since_update_s = 0.0
+        self.driven: set[str] = set()
+        """The cars that are to be driven as the host is; for the newest of them SUMO may have found no room."""
         self._fill(host_lane)
 
     def _fill(self, host_lane: int) -> None:
@@ -81,8 +86,13 @@ class MovingWindow:
                     taken.append((lane, ahead_m))
                     break
 
-    def update(self, *, elapsed_s: float, host_changing_lane: bool) -> None:
-        """Replace who left the window, then let each vehicle try a lane change once in the configured mean time."""
+    def update(self, *, elapsed_s: float, changing_lane: Collection[str]) -> None:
+        """Replace who left the window, then let each vehicle try a lane change once in the configured mean time.
+
+        Args:
+            elapsed_s: since the last update.
+            changing_lane: the driven vehicles that change lanes now, the host among them.
+        """
         self._since_update_s += elapsed_s
         if self._since_update_s < PERIOD_S:
             return
@@ -91,7 +101,7 @@ class MovingWindow:
         odometers_m = self._simulation.odometers_m()
         host_m = self._host_start_m + odometers_m[self._simulation.host.name]
         ahead_m: dict[str, float] = {}
-        for name, start_m in self._start_m.items():
+        for name, start_m in self.start_m.items():
             if name not in odometers_m:
                 continue  # SUMO found no room for it
             ahead = start_m + odometers_m[name] - host_m
@@ -99,17 +109,21 @@ class MovingWindow:
                 ahead_m[name] = ahead
             else:
                 self._simulation.remove_vehicle(name)
-        self._start_m = {name: self._start_m[name] for name in ahead_m}
-        self._order_lane_changes(ahead_m, tries, host_changing_lane)
+        self.start_m = {name: self.start_m[name] for name in ahead_m}
+        self.driven &= ahead_m.keys()
+        there_m = {self._simulation.host.name: 0.0, **ahead_m}
+        changing_m = [there_m[name] for name in changing_lane if name in there_m]
+        self._order_lane_changes(ahead_m, tries, changing_m)
         for _ in range(self._config.vehicles - len(ahead_m)):
-            self._replace(host_m)
+            self._replace(host_m, changing_m)
 
-    def _replace(self, host_m: float) -> None:
+    def _replace(self, host_m: float, changing_m: Sequence[float]) -> None:
         """Bring in one vehicle just inside an edge of the window; without room there, the next update tries again."""
         desired_mps = self._draw_speed_mps()
         slower = desired_mps < self._simulation.host.speeds_mps[-1]
         ahead_m = self._config.ahead_m - 1.0 if slower else 1.0 - self._config.behind_m
-        self._insert(ahead_m, host_m, self._draw_lane(host_m + ahead_m), desired_mps)
+        if _is_clear(ahead_m, changing_m):
+            self._insert(ahead_m, host_m, self._draw_lane(host_m + ahead_m), desired_mps)
 
     def _insert(self, ahead_m: float, host_m: float, lane: int, desired_mps: float) -> None:
         place = self._road.place(host_m + ahead_m)
@@ -128,12 +142,14 @@ class MovingWindow:
             car_following=self._config.car_following,
             is_lorry=is_lorry,
         )
-        self._start_m[name] = host_m + ahead_m
+        self.start_m[name] = host_m + ahead_m
+        if not is_lorry and len(self.driven) < self._config.driven:
+            self.driven.add(name)
 
-    def _order_lane_changes(self, ahead_m: dict[str, float], probability: float, host_changing_lane: bool) -> None:
+    def _order_lane_changes(self, ahead_m: dict[str, float], probability: float, changing_m: Sequence[float]) -> None:
         moves: list[tuple[int, float]] = []  # the lanes that vehicles move into, and how far ahead of the host
         for name, draw in zip(ahead_m, self._rng.random(len(ahead_m)).tolist(), strict=True):
-            if draw >= probability or (host_changing_lane and abs(ahead_m[name]) < CLEAR_OF_HOST_M):
+            if draw >= probability or name in self.driven or not _is_clear(ahead_m[name], changing_m):
                 continue
             lane = self._simulation.lane_beside(name, 1 if draw < 0.5 * probability else -1)
             beside_m = [place_m for other, place_m in moves if other == lane]
@@ -151,3 +167,8 @@ class MovingWindow:
     def _lanes(self, s_m: float) -> range:
         place = self._road.place(s_m)
         return self._road.edges[place[0] if place else 0].lanes
+
+
+def _is_clear(ahead_m: float, changing_m: Sequence[float]) -> bool:
+    """Whether a place is clear of those that change lanes; places are told from the host's on."""
+    return all(abs(ahead_m - there_m) >= CLEAR_OF_HOST_M for there_m in changing_m)

@@ -100,7 +100,8 @@ def read(traffic: config.Traffic) -> Demand:
     """Return the demand that the configuration names, after reading its files.
 
     Raises:
-        InputError: no such file, not XML, one that has our ids or includes itself, or an option that is ours to set.
+        InputError: no such file, not XML, one that has our ids or includes itself, an option that is ours to set, or
+            vehicles of the made traffic are to be driven where there is none.
     """
     routes, additional = tuple(map(assets.routes, traffic.routes)), tuple(map(assets.additional, traffic.additional))
     options = dict(_options(traffic.options))
@@ -115,6 +116,11 @@ def read(traffic: config.Traffic) -> Demand:
             raise InputError(
                 f"'{path}' has the id '{reserved}'; ids that begin with {OURS} are rail-sumo's own: rename it"
             )
+    if traffic.driven and demand.has_traffic:
+        raise InputError(
+            f"traffic.driven is {traffic.driven}, and such vehicles are of the made traffic, not of a demand; leave it "
+            "out, and drive a share of the demand's cars by: rail-sumo sweep share"
+        )
     return demand
 
 
