@@ -29,10 +29,11 @@ from gymnasium.utils.env_checker import check_env
 from rail_sumo.errors import InputError
 from rail_sumo.highway import env as env_module
 from rail_sumo.highway.env import HighwayEnv
+from rail_sumo.highway.held import RESPECT_OTHERS_GAPS
 from rail_sumo.highway.host import SUMO_CHANGES_LANES
 from rail_sumo.highway.observation import feature_names
 from rail_sumo.highway.reward import reward, total_reward
-from rail_sumo.highway.simulation import HOST, RESPECT_OTHERS_GAPS
+from rail_sumo.highway.simulation import HOST
 from rail_sumo.highway.traffic import MovingWindow
 from rail_sumo.records import KMH, MetaAction
 

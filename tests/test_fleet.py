@@ -237,12 +237,12 @@ def test_who_is_near_is_the_same_whether_one_looks_or_many(monkeypatch, network)
     step = Simulation.step
 
     def watched(simulation):
-        gone = step(simulation)
+        gone, sight = step(simulation), simulation._sight
         for host in simulation.hosts[len(compared) % 3 :: 3]:
             here, reach_m = libsumo.vehicle.getPosition3D(host.name), 105.0
-            one = sorted(simulation._near(host.name, here, reach_m, libsumo.vehicle.getIDList()))
-            lately = simulation._near_lately(here, reach_m)
-            assert one == sorted(simulation._near(host.name, here, reach_m, lately))
+            one = sorted(sight._near(host.name, here, reach_m, libsumo.vehicle.getIDList()))
+            lately = sight._near_lately(here, reach_m)
+            assert one == sorted(sight._near(host.name, here, reach_m, lately))
             compared.append(len(one))
         return gone
 

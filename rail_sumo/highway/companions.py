@@ -5,8 +5,10 @@ from collections.abc import Callable, Collection, Iterable
 from dataclasses import replace
 
 from rail_sumo.config import FASTEST_CAR_MPS, Config
+from rail_sumo.highway import inserted
+from rail_sumo.highway.inserted import Inserted
 from rail_sumo.highway.rides import Decide, Rides
-from rail_sumo.highway.simulation import Inserted, Simulation
+from rail_sumo.highway.simulation import Simulation
 from rail_sumo.highway.stretch import Stretch
 from rail_sumo.highway.traffic import MovingWindow
 
@@ -43,7 +45,7 @@ class Companions:
         self._driver = driver
         self._rides = Rides(simulation, world.practice(math.inf), keeps_trajectory=False, hands_off=hands_off)
         self._contacts_before = 0  # of those that are driven no longer
-        self._enter(simulation.inserted(sorted(window.driven & simulation.on_road())))
+        self._enter(inserted.read(sorted(window.driven & simulation.on_road())))
 
     def step(self) -> None:
         """Let them decide for whom it is time to, and everybody drive one step, the host too."""

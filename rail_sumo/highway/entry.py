@@ -8,9 +8,10 @@ import numpy as np
 
 from rail_sumo.config import Config
 from rail_sumo.errors import CourseError, InputError
+from rail_sumo.highway.inserted import Inserted
 from rail_sumo.highway.network import road
 from rail_sumo.highway.network.demand import Demand
-from rail_sumo.highway.simulation import Inserted, Simulation
+from rail_sumo.highway.simulation import Simulation
 from rail_sumo.highway.stretch import Stretch
 from rail_sumo.records import SECONDS_PER_STEP
 

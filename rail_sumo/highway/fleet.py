@@ -10,10 +10,11 @@ from rail_sumo import assets
 from rail_sumo.config import Config
 from rail_sumo.errors import CourseError, InputError
 from rail_sumo.highway import sumo_process
+from rail_sumo.highway.inserted import Inserted
 from rail_sumo.highway.network import demand, road
 from rail_sumo.highway.network.demand import Demand
 from rail_sumo.highway.rides import Decide, Ride, Rides
-from rail_sumo.highway.simulation import Inserted, Simulation
+from rail_sumo.highway.simulation import Simulation
 from rail_sumo.records import SECONDS_PER_STEP, Lane
 
 Instead = Literal["nothing", "acc"]

@@ -5,7 +5,8 @@ from collections.abc import Callable
 from rail_sumo.config import Config
 from rail_sumo.highway import entry
 from rail_sumo.highway.agent import Agent
-from rail_sumo.highway.simulation import Inserted, Simulation
+from rail_sumo.highway.inserted import Inserted
+from rail_sumo.highway.simulation import Simulation
 from rail_sumo.highway.stretch import Stretch
 from rail_sumo.records import Floats, MetaAction
 

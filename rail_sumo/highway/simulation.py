@@ -1,28 +1,24 @@
 """The one libsumo process: Scene out, Command in. SUMO's facts are converted once, here and in `host`."""
 
-import math
 import os
-from collections.abc import Callable, Iterable, Iterator, Sequence
-from contextlib import suppress
-from dataclasses import dataclass
-from itertools import chain
+from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
 from statistics import fmean
-from typing import NamedTuple
 
 import libsumo
-import numpy as np
 
 from rail_sumo import config
 from rail_sumo.errors import InputError
-from rail_sumo.highway import placing, sumo_process
+from rail_sumo.highway import inserted, sumo_process
+from rail_sumo.highway.held import HeldVehicles
 from rail_sumo.highway.host import HOST_TYPE, Host
+from rail_sumo.highway.inserted import CARS, Inserted
 from rail_sumo.highway.names import HOST, OURS
 from rail_sumo.highway.network import sumo_xml
 from rail_sumo.highway.network.demand import Demand
 from rail_sumo.highway.network.road import Road
-from rail_sumo.highway.whereabouts import way_of
-from rail_sumo.records import SECONDS_PER_STEP, Command, Floats, Lane, Scene
+from rail_sumo.highway.sight import Sight
+from rail_sumo.records import SECONDS_PER_STEP, Command, Lane, Scene
 
 # Ids that no demand of a user's has; the types' are those of the two files below.
 TRAFFIC_TYPE, LORRY_TYPE = f"{OURS}traffic_", f"{OURS}lorry_"
@@ -53,10 +49,8 @@ MADE_TRAFFIC_OPTIONS = {"time-to-teleport": -1, "max-depart-delay": 0}
 """What it is told beside these of a window's traffic: a vehicle enters at once or not at all, and never teleports."""
 NOTHING = Demand()
 
-RESPECT_OTHERS_GAPS = 512
-"""Lane-change mode: no change of its own accord; a commanded one waits for a gap that is safe to others."""
 LEAVE_ENDING_LANES = 513
-"""Lane-change mode: the same, but away from a lane that does not lead on."""
+"""Lane-change mode: away from a lane that does not lead on, otherwise as `held.RESPECT_OTHERS_GAPS`."""
 
 SEEDS = 2**31
 """SUMO takes seeds below this."""
@@ -64,68 +58,6 @@ WAIT_S, GAP_WAIT_S = 120.0, 30.0
 """How long to wait for the host to enter, and of that for a gap that lets it do so at its starting speed."""
 NEAR_ENTRY_M = 100.0
 """The host enters as fast as the vehicles drive that are within this distance of its entry."""
-CARS = frozenset({"passenger", "private", "taxi", "evehicle", "hov", "vip", "custom1", "custom2", "ignoring"})
-"""SUMO's vehicle classes of what drives as a car does."""
-SEEN_FOR_S, FASTEST_MPS = 0.95, 70.0
-"""Where several look around, all vehicles are read so often; nobody drives faster."""
-STOREY_M = 3.0
-"""Vehicles farther above or below drive on another road, as on a bridge."""
-
-
-Place = tuple[float, float, float]
-"""East, north, up, in metres."""
-
-
-class _Sees(NamedTuple):
-    """What a host can see."""
-
-    reach_m: float
-    is_left_hand: bool
-
-
-class _Held(NamedTuple):
-    """A vehicle that is kept from changing lanes."""
-
-    mode: int
-    """Its own lane-change mode."""
-    by: set[str]
-    """The hosts beside which it is."""
-
-
-@dataclass(frozen=True, slots=True)
-class Inserted:
-    """A vehicle of the demand, where SUMO has inserted it."""
-
-    name: str
-    vclass: str
-    """SUMO's class."""
-    edges: tuple[str, ...]
-    """Of its route, from where it has been inserted on."""
-    lane: int
-    front_m: float
-    speed_mps: float
-    length_m: float
-    width_m: float
-    kind: str
-    """The id of its type."""
-    speed_factor: float
-    fastest_mps: float
-    emission_class: str
-
-    @property
-    def own(self) -> dict[str, str | float]:
-        """The properties that it keeps when a host or ACC takes it over, by the names of SUMO's setters."""
-        return {
-            "VehicleClass": self.vclass,  # or lanes for its class alone would be closed to it
-            "Length": self.length_m,
-            "Width": self.width_m,
-            "EmissionClass": self.emission_class,
-        }
-
-    @property
-    def is_car(self) -> bool:
-        """Whether it drives as a car does."""
-        return self.vclass in CARS
 
 
 class Simulation:
@@ -158,14 +90,10 @@ class Simulation:
         outputs: Sequence[str] = (),
         limit_factor: float = 1.0,
     ) -> None:
-        self._sizes: dict[str, tuple[float, float]] = {}
-        self._sees: dict[str, _Sees] = {}
-        self._seen: tuple[Sequence[str], Floats] = ((), np.empty((3, 0)))  # where all were, in columns, ...
-        self._seen_at_s = -math.inf  # ... and when
-        self._unseen: list[str] = []  # who has come on the road since
+        self._sight = Sight()
+        self._held = HeldVehicles()
         self._taken_over: dict[str, Inserted] = {}
         self._routes: dict[tuple[str, ...], str] = {}
-        self._held: dict[str, _Held] = {}  # vehicles kept from changing lanes, by their id
         self.hosts: list[Host] = []
         """The vehicles that are driven; the first is `host`."""
         self.watch: Callable[[], None] | None = None
@@ -230,7 +158,7 @@ class Simulation:
             shares_type: whether there will be several.
         """
         added = Host(road, adas, lambda: self.scene(added), host, self._claims, shares_type=shares_type)
-        self._sees[host] = _Sees(sees_m, is_left_hand=road.is_left_hand)
+        self._sight.give(host, reach_m=sees_m, is_left_hand=road.is_left_hand)
         self._edges = road.edge_of
         self.hosts.append(added)
         self.host = self.hosts[0]
@@ -276,40 +204,18 @@ class Simulation:
         self._start = (edges, lane, front_m)
         self._enter(f"{min(speed_mps if there_mps is None else there_mps, ceiling_mps):.3f}")
 
-    def departed(self) -> list["Inserted"]:
+    def departed(self) -> list[Inserted]:
         """Return the vehicles that have been inserted in the last step; not those that park."""
-        return self.inserted(libsumo.simulation.getDepartedIDList())
+        return inserted.read(libsumo.simulation.getDepartedIDList())
 
-    def inserted(self, names: Iterable[str]) -> list["Inserted"]:
-        """Return some of the vehicles that are on the road, as they are now; not those that park."""
-        get = libsumo.vehicle
-        return [
-            Inserted(
-                name,
-                get.getVehicleClass(name),
-                tuple(way_of(name)),
-                lane=get.getLaneIndex(name),
-                front_m=get.getLanePosition(name),
-                speed_mps=get.getSpeed(name),
-                length_m=get.getLength(name),
-                width_m=get.getWidth(name),
-                kind=get.getTypeID(name),
-                speed_factor=get.getSpeedFactor(name),
-                fastest_mps=get.getMaxSpeed(name),
-                emission_class=get.getEmissionClass(name),
-            )
-            for name in names
-            if get.getRoadID(name) == way_of(name)[0]
-        ]
-
-    def take_over(self, car: "Inserted") -> None:
+    def take_over(self, car: Inserted) -> None:
         """Make a vehicle that has just been inserted the last of the hosts: as large as it is, and on its route."""
         host = self.hosts[-1]
         libsumo.vehicle.setType(car.name, HOST_TYPE)
         host.become(car.own, speed_mps=car.speed_mps, fastest_mps=car.fastest_mps)
         host.take_over(car.speed_mps)
         host.begin()
-        self._held.pop(car.name, None)
+        self._held.forget(car.name)
         self._taken_over[car.name] = car
 
     def hand_back(self, host: Host) -> None:
@@ -318,7 +224,7 @@ class Simulation:
         host.let_go(car.kind, speed_factor=car.speed_factor)
         self._forget(host)
 
-    def give_acc(self, car: "Inserted") -> None:
+    def give_acc(self, car: Inserted) -> None:
         """Have SUMO drive a vehicle that has just been inserted by its own model of adaptive cruise control."""
         libsumo.vehicle.setType(car.name, ACC_TYPE)
         for what, value in {**car.own, "MaxSpeed": car.fastest_mps, "SpeedFactor": car.speed_factor}.items():
@@ -340,7 +246,7 @@ class Simulation:
     def remove_vehicle(self, name: str) -> None:
         """Take a vehicle off the road; it may be one of the hosts, but not `host`."""
         libsumo.vehicle.remove(name)
-        self._sizes.pop(name, None)
+        self._sight.forget(name)
         for driven in [host for host in self.hosts if host.name == name]:
             self._forget(driven)
 
@@ -429,56 +335,9 @@ class Simulation:
     def scene(self, host: Host | None = None, *, sees_m: float | None = None) -> Scene:
         """Return a host and every vehicle within its reach, or that of `sees_m`, east or west, north or south.
 
-        Vehicles on a bridge above or below are left out. On a road that is driven on the left it is told in the mirror;
-        see `Road.is_left_hand`.
+        See `Sight.scene`.
         """
-        # Getters, not a context subscription: a standing one costs half a step more on every step, and one made for a
-        # single look costs more than all the getters together.
-        angle, speed = libsumo.vehicle.getAngle, libsumo.vehicle.getSpeed
-        ego = (host or self.host).name
-        sizes, (reach_m, is_left_hand) = self._sizes, self._sees[ego]
-        reach_m = sees_m or reach_m
-        here = libsumo.vehicle.getPosition3D(ego)
-        names, rows = [ego], [*here[:2], angle(ego), speed(ego), *(sizes.get(ego) or self._size(ego))]
-        among = libsumo.vehicle.getIDList() if len(self.hosts) == 1 else self._near_lately(here, reach_m)
-        for name, x, y in self._near(ego, here, reach_m, among):
-            names.append(name)
-            rows += (x, y, angle(name), speed(name), *(sizes.get(name) or self._size(name)))
-        vehicles = np.fromiter(rows, np.float64).reshape(len(names), -1)
-        if is_left_hand:  # told in the mirror
-            vehicles[:, 1] *= -1.0
-            vehicles[:, 2] = 180.0 - vehicles[:, 2]
-        return Scene(libsumo.simulation.getTime(), names, placing.boxes(vehicles))
-
-    @staticmethod
-    def _near(ego: str, here: Place, reach_m: float, among: Iterable[str]) -> Iterator[tuple[str, float, float]]:
-        """Yield which others among some vehicles are within reach of one, and where they are."""
-        position, (here_x, here_y, here_z) = libsumo.vehicle.getPosition3D, here
-        for name in among:
-            try:
-                x, y, z = position(name)
-            except libsumo.TraCIException:  # it has left
-                continue
-            is_near = -reach_m < x - here_x < reach_m and -reach_m < y - here_y < reach_m
-            if is_near and name != ego and abs(z - here_z) < STOREY_M:
-                yield name, x, y
-
-    def _near_lately(self, here: Place, reach_m: float) -> Iterable[str]:
-        """Return who may be within reach of a place, by where all were a moment ago, which several hosts share."""
-        now_s = libsumo.simulation.getTime()
-        if now_s - self._seen_at_s > SEEN_FOR_S:
-            names = libsumo.vehicle.getIDList()
-            places = chain.from_iterable(map(libsumo.vehicle.getPosition3D, names))
-            self._seen = names, np.fromiter(places, np.float64, 3 * len(names)).reshape(-1, 3).T.copy()
-            self._seen_at_s, self._unseen = now_s, []
-        names, (x, y, _) = self._seen
-        within_m = reach_m + 2 * FASTEST_MPS * (now_s - self._seen_at_s)
-        was_near = (np.abs(x - here[0]) < within_m) & (np.abs(y - here[1]) < within_m)
-        return dict.fromkeys((*(names[row] for row in was_near.nonzero()[0].tolist()), *self._unseen))
-
-    def _size(self, name: str) -> tuple[float, float]:
-        self._sizes[name] = (libsumo.vehicle.getLength(name), libsumo.vehicle.getWidth(name))
-        return self._sizes[name]
+        return self._sight.scene((host or self.host).name, reach_m=sees_m)
 
     @staticmethod
     def class_of(name: str) -> str:
@@ -513,9 +372,9 @@ class Simulation:
 
     def obey(self, host: Host, command: Command) -> None:
         """Have a host carry a command out in the next step and those after it."""
-        holds = any(host.name in held.by for held in self._held.values())
+        holds = self._held.are_held_by(host.name)
         if bool(command.lateral_m) != holds:
-            self._release(host) if holds else self._hold(host)
+            self._held.release(host.name) if holds else self._hold(host)
         host.obey(command)
 
     def _step(self) -> None:
@@ -526,7 +385,7 @@ class Simulation:
     def step(self) -> list[str]:
         """Do the same where hosts may leave the road, and return which have."""
         self._move()
-        self._unseen += (*libsumo.simulation.getDepartedIDList(), *libsumo.simulation.getEndingTeleportIDList())
+        self._sight.notice()
         gone = {*libsumo.simulation.getArrivedIDList(), *self.teleporting()}
         left = [host for host in self.hosts if host.name in gone]
         for host in left:
@@ -552,31 +411,14 @@ class Simulation:
 
     def _forget(self, host: Host) -> None:
         self.hosts.remove(host)
-        del self._sees[host.name], self._taken_over[host.name]
-        self._release(host)
+        del self._taken_over[host.name]
+        self._sight.forget(host.name)
+        self._held.release(host.name)
 
     def _hold(self, host: Host) -> None:
-        """Keep everyone near from changing lanes while a host does; other hosts know of it by its claim.
-
-        SUMO knows the host in one lane only. Its own drivers would move in beside the part of it that still stands in
-        the lane it has crossed out of.
-        """
+        """Keep everyone near from changing lanes while a host does; other hosts know of it by its claim."""
         driven = {one.name for one in self.hosts}
-        for name in self.scene(host).ids[1:]:
-            if name in driven:
-                continue
-            if name not in self._held:
-                self._held[name] = _Held(libsumo.vehicle.getLaneChangeMode(name), set())
-                libsumo.vehicle.setLaneChangeMode(name, RESPECT_OTHERS_GAPS)
-            self._held[name].by.add(host.name)
-
-    def _release(self, host: Host) -> None:
-        for name, held in sorted(self._held.items()):
-            held.by.discard(host.name)
-            if not held.by:
-                del self._held[name]
-                with suppress(libsumo.TraCIException):  # it has left
-                    libsumo.vehicle.setLaneChangeMode(name, held.mode)
+        self._held.hold((name for name in self.scene(host).ids[1:] if name not in driven), host.name)
 
     @property
     def now_s(self) -> float:
