@@ -47,12 +47,18 @@ def test_the_interval_is_of_the_mean_of_episodes():
     assert speed[["mean", "low", "high"]].tolist() == pytest.approx([speeds.mean(), *expected], abs=1e-6)
 
 
-@pytest.mark.parametrize("speeds_kmh", [[61.5], [61.5] * 16])
-def test_one_episode_has_no_interval_nor_have_episodes_that_are_all_the_same(speeds_kmh):
-    beside = rows("rule", speeds_kmh) + rows("expert", [60.0] * len(speeds_kmh))
-    speed = summarised(report.episodes(beside), "rule", "speed_kmh")
+def test_one_episode_has_no_interval():
+    speed = summarised(report.episodes(rows("rule", [61.5]) + rows("expert", [60.0])), "rule", "speed_kmh")
     assert speed[["mean", "ratio", "difference"]].tolist() == [61.5, 1.025, 1.5]
     assert speed[INTERVALS].isna().all()
+
+
+def test_episodes_that_are_all_the_same_have_intervals_without_width():
+    same = report.episodes(rows("rule", [61.5] * 16) + rows("expert", [60.0] * 16))
+    speed = summarised(same, "rule", "speed_kmh")
+    assert speed[["mean", "low", "high"]].tolist() == [61.5] * 3
+    assert speed[RATIO].tolist() == [1.025] * 3
+    assert speed[DIFFERENCE].tolist() == [1.5] * 3
 
 
 def test_ratio_is_of_the_means_and_only_beside_the_expert():
@@ -232,13 +238,14 @@ def test_the_terminal_shows_every_policy_with_its_ratio_within_100_columns():
     learned, expert = line_of("runs/[dense]", lines), line_of("expert  ", lines)
     # Half an interval of two episodes is 12.706 standard errors: of the mean 1, of the ratio 1 / 70. In both episodes
     # it was struck.
-    means = ["64.0", "±", "12.7", "1.0", "1.0", "1.0", "1.0", "1.00", "2"]
+    equal = ["1.0", "±", "0.0"]
+    means = ["64.0", "±", "12.7", *equal, *equal, "1.0", "1.0", "1.00", "2"]
     assert lines[learned].split()[-len(means) :] == means
-    ratios = ["0.91", "±", "0.18", "1.00", "1.00"]  # of speed, overtakes and lane changes alone
+    ratios = ["0.91", "±", "0.18", "1.00", "±", "0.00", "1.00", "±", "0.00"]  # of no other
     assert lines[learned + 1].split()[-len(ratios) :] == ratios
     named = " ".join(re.split(r"  +", line.strip())[0] for line in lines[learned:expert])
     assert named == name  # whole, on however many lines
-    assert lines[expert].split() == ["expert", "70.0", "1.0", "1.0", "1.0", "1.0", "1.00", "2"]
+    assert lines[expert].split() == ["expert", "70.0", "±", "0.0", *equal, *equal, "1.0", "1.0", "1.00", "2"]
     assert not lines[expert + 1].strip()  # of itself it is no ratio
     assert "means over 2 episodes ± 95 % interval; below, ratios to expert" in " ".join(" ".join(lines).split())
 

@@ -54,8 +54,8 @@ def summary(episodes: pd.DataFrame, reference: str = EXPERT) -> pd.DataFrame:
     `low` and `high` are the 95 % interval of `mean`. `ratio` is the policy's mean over the reference's, `difference`
     the mean of policy minus reference, both episode by episode on the same traffic, with intervals of their own (see
     `statistics`). Of `collisions` and `struck` the interval is Wilson's, of the share of episodes with one, and ratio
-    and difference have none. Without an interval, as of one episode or of episodes that are all the same, both ends are
-    NaN; so are ratio and difference where the reference was not evaluated beside.
+    and difference have none. Of one episode, which tells no interval, both ends are NaN; so are ratio and difference
+    where the reference was not evaluated beside.
 
     Episodes in which the host never closed in on a vehicle have an infinite `min_ttc_s`; that metric is summarised
     over the others, `episodes` of them, and NaN if there are none. Its ratio and difference are over the episodes in
