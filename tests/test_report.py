@@ -1,6 +1,7 @@
 import re
 import resource
 from contextlib import contextmanager
+from typing import get_args
 
 import numpy as np
 import pandas as pd
@@ -9,7 +10,7 @@ from rich.console import Console
 from scipy.stats import ttest_1samp
 
 from rail_sumo.errors import InputError
-from rail_sumo.records import EPISODE_COLUMNS, METRICS, SUMMARY_COLUMNS
+from rail_sumo.records import EPISODE_COLUMNS, METRICS, SUMMARY_COLUMNS, EndReason
 from rail_sumo.tables import report
 
 
@@ -306,6 +307,23 @@ def test_the_terminal_counts_the_episodes_with_a_contact():
     lines = printed(report.summary(report.episodes(rule)))
     assert "contacts" in " ".join(lines)
     assert lines[line_of("rule", lines)].split()[-1] == "2"
+
+
+def test_episodes_that_were_cut_short_are_counted_by_policy_and_why():
+    rule, mine, usual = (rows(name, [60.0] * 16) for name in ("rule", "mine", "usual"))
+    rule[3]["end_reason"] = rule[5]["end_reason"] = "standstill"
+    mine[0]["end_reason"], mine[1]["end_reason"] = "SUMO stopped", "standstill"
+    for row, end in zip(usual, get_args(EndReason)[:4], strict=False):
+        row["end_reason"] = end  # these are ordinary, and contacts are in the table
+    assert report.cut_short(report.episodes([*rule, *mine, *usual])) == [
+        "rule: 2 of 16 episodes ended at a standstill",
+        "mine: 1 of 16 episodes ended at a standstill; "
+        "1 of 16 episodes ended because SUMO stopped (left out of the means)",
+    ]
+
+
+def test_every_end_is_ordinary_or_told():
+    assert {"course", "duration", "end of road", "collision", *report._CUT_SHORT} == set(get_args(EndReason))
 
 
 @pytest.mark.parametrize(("least", "has_intervals"), [(100.0, True), (1e9, False)])

@@ -13,7 +13,7 @@ from rich.markup import escape
 from rich.table import Table
 
 from rail_sumo.files import whole_folder
-from rail_sumo.records import DECISION_COLUMNS, EPISODE_COLUMNS, METRICS, SUMMARY_COLUMNS, UNDRIVEN, Floats
+from rail_sumo.records import DECISION_COLUMNS, EPISODE_COLUMNS, METRICS, SUMMARY_COLUMNS, UNDRIVEN, EndReason, Floats
 from rail_sumo.tables import statistics
 
 EXPERT = "expert"
@@ -180,12 +180,10 @@ def _table(summary: pd.DataFrame, told: dict[str, tuple[str, int]], *, has_inter
     policies, reference = summary["policy"].unique(), summary["reference"].iloc[0]
     by_metric = summary.set_index(["policy", "metric"])
     n = by_metric["episodes"].max()
-    left_out = n - by_metric.xs("speed_kmh", level="metric")["episodes"]
     compared = reference in policies and len(policies) > 1
     episodes = f"means over {n} episodes{' ± 95 % interval' * has_intervals}" if n > 1 else "one episode: no interval"
     below = f"; below, ratios to {escape(reference)}" if compared else ""
-    fewer = "; ".join(f"{escape(str(name))}: {few} fewer" for name, few in left_out[left_out > 0].items())
-    shown = Table(box=SIMPLE_HEAD, caption=episodes + below + (f" ({fewer})" if fewer else ""))
+    shown = Table(box=SIMPLE_HEAD, caption=episodes + below)
     shown.add_column("policy", overflow="fold", min_width=NAME_WIDTH)
     for heading in (*_COMPARED, *told, "contacts"):
         shown.add_column(heading, justify="right", no_wrap=True)
@@ -204,6 +202,33 @@ def _table(summary: pd.DataFrame, told: dict[str, tuple[str, int]], *, has_inter
         contacts = sum(by_metric.loc[(policy, metric), "mean"] for metric in CONTACTS) * n
         shown.add_row(escape(policy), *cells, f"{contacts:.0f}")
     return shown
+
+
+_CUT_SHORT: dict[EndReason, str] = {
+    "standstill": "ended at a standstill",
+    "left the road": "ended off the road",
+    "not begun": "could not begin (left out of the means)",
+    "SUMO stopped": "ended because SUMO stopped (left out of the means)",
+}
+"""Ends that are not the ordinary ones, but collisions: these the table counts as contacts."""
+
+
+def cut_short(episodes: pd.DataFrame) -> list[str]:
+    """Return a line for each policy with episodes that were cut short: how many, and why.
+
+    Such as "rule: 2 of 16 episodes ended at a standstill". Episodes that ended in a contact are not among them: the
+    table for the terminal has them in a column of their own.
+
+    Args:
+        episodes: the `episodes` table.
+    """
+    lines = []
+    for policy, driven in episodes.groupby("policy", sort=False):
+        counts = driven["end_reason"].value_counts()
+        told = [f"{counts[end]} of {len(driven)} episodes {what}" for end, what in _CUT_SHORT.items() if end in counts]
+        if told:
+            lines.append(f"{policy}: {'; '.join(told)}")
+    return lines
 
 
 def _with_interval(value: float, low: float, high: float, decimals: int) -> str:
