@@ -161,18 +161,18 @@ def table(summary: pd.DataFrame, *, width: int = WIDE) -> Table:
     fewer = [(dict(list(_TOLD.items())[:n]), True) for n in range(len(_TOLD), -1, -1)]
     for told, has_intervals in (*fewer, ({}, False)):
         shown = _table(summary, told, has_intervals=has_intervals)
-        if _width(shown, summary["policy"]) <= width:
+        if width_of(shown, summary["policy"]) <= width:
             break
     return shown
 
 
-def _width(shown: Table, policies: "pd.Series[str]") -> int:
-    """Return how many columns a table takes, with its policies' names folded as far as they may be."""
+def width_of(shown: Table, names: Iterable[str]) -> int:
+    """Return how many columns a table takes whose first column has these names, folded as far as they may be."""
     wide = Console(width=1000, file=io.StringIO())
     with wide.capture() as text:
         wide.print(shown)
     taken = max(len(line.rstrip()) for line in text.get().splitlines())
-    longest = int(policies.str.len().max())
+    longest = max(map(len, names))
     return taken - max(0, longest - NAME_WIDTH)
 
 
