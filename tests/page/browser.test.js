@@ -522,6 +522,25 @@ test("two fingers zoom", async () => {
   });
 });
 
+test("of a run without a host, help and buttons leave out what does nothing", async () => {
+  const [withoutHost, withHost] = [[], []];
+  for (const [name, shown] of [["town", withoutHost], ["one", withHost]]) {
+    await withPage(name, {}, async (page) => {
+      await ready(page);
+      await page.keyboard.press("?");
+      shown.push(...(await page.locator("#keys dd").allTextContents()));
+      const words = await page.locator("#keys p").innerText();
+      assert.equal(words.includes("A click on a curve or a mark goes there"), name === "one");
+      for (const id of ["previous-mark", "next-mark", "previous-decision", "next-decision", "rays"]) {
+        assert.equal(await page.locator(`#${id}`).isVisible(), name === "one", id);
+      }
+    });
+  }
+  const leftOut = withHost.filter((meaning) => !withoutHost.includes(meaning));
+  assert.deepEqual(leftOut, ["previous, next decision", "previous, next mark", "rays: what the host senses"]);
+  assert.ok(withoutHost.includes("play or pause"));
+});
+
 test("a crowd opens as a whole; who is clicked is followed", async () => {
   await withPage("town", { hash: "#t=25500" }, async (page) => {
     await ready(page);

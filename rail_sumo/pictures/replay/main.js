@@ -43,12 +43,18 @@ class Page {
     this.link = new Link(() => this.base + this.elapsed);
     const hasHost = films.some((film) => film.driven);
     this.options = { follows: hasHost, rays: true, names: !hasHost, palette: presentPalette(), topMps: topSpeed(films) };
-    this._build(hasHost);
-    listen((name, value) => this.act(name, value));
+    this._build();
+    const has = {
+      decisions: films.some((film) => film.driven?.decisions.length),
+      marks: films.some((film) => film.driven?.marks.length),
+      rays: hasHost,
+      recorder: canRecord(),
+    };
+    listen((name, value) => this.act(name, value), has);
     this._watch();
   }
 
-  _build(hasHost) {
+  _build() {
     const { films, head } = this;
     const app = byId("app");
     app.hidden = false;
@@ -60,14 +66,8 @@ class Page {
     const leftOut = films.map((film) => film.leftOut).filter(Boolean);
     byId("left-out").hidden = !leftOut.length;
     byId("left-out").textContent = [...new Set(leftOut)].join(" ");
-    byId("record").hidden = !canRecord();
-    byId("rays").hidden = !hasHost;
     byId("difference").hidden = films.length < 2;
     this.difference = films.length > 1 ? new Difference(byId("difference"), films) : null;
-    const hasDecisions = films.some((film) => film.driven?.decisions.length);
-    for (const id of ["previous-decision", "next-decision"]) byId(id).hidden = !hasDecisions;
-    const hasMarks = films.some((film) => film.driven?.marks.length);
-    for (const id of ["previous-mark", "next-mark"]) byId(id).hidden = !hasMarks;
     const road = () => new Road(this.ground); // each keeps a picture of its own view
     this.stages = films.map((film, number) => this._stage(film, number, road()));
     this.timeline = new Timeline(byId("track"), byId("filters"), this);
