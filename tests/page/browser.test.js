@@ -90,11 +90,13 @@ const inShade = (page, name, [r, g, b]) =>
 
 for (const [size, viewport] of Object.entries({ "1280 x 800": WIDE, "390 x 844": NARROW })) {
   for (const name of ["one", "two", "thousand", "town"]) {
-    test(`${name}, ${size}: it opens, draws at once, plays, and fetches nothing`, async () => {
+    test(`${name}, ${size}: it opens, draws at once, stands until it is played, and fetches nothing`, async () => {
       await withPage(name, { viewport, hasTouch: viewport === NARROW, hash: "" }, async (page) => {
         await ready(page);
-        const { firstFrameMs, playing } = await state(page);
-        assert.ok(playing, "it plays by itself");
+        const { firstFrameMs, playing, elapsed } = await state(page);
+        assert.deepEqual([playing, elapsed], [false, 0], "it plays by itself");
+        await page.locator(".begin").first().click();
+        assert.equal((await state(page)).playing, true);
         assert.ok(firstFrameMs < FIRST_FRAME_MS, `the first frame came after ${firstFrameMs} ms`);
         await page.evaluate(() => window.replay.seek(120));
         const median = await page.evaluate(
@@ -472,7 +474,8 @@ test("within a sandboxed frame of another page it plays", async () => {
   await withPage("frame", { file, hash: "" }, async (page) => {
     await page.waitForFunction(() => frames.length === 1);
     const frame = page.frames()[1];
-    await frame.waitForFunction(() => window.replay?.state().elapsed > 2);
+    await frame.locator(".begin").first().click();
+    await frame.waitForFunction(() => window.replay.state().elapsed > 2);
     assert.equal((await state(frame)).playing, true);
   });
 });
@@ -686,10 +689,36 @@ test("a picture and a film of the view are saved", async () => {
   });
 });
 
-test("who asks for less motion is not played to", async () => {
-  await withPage("one", { hash: "", reducedMotion: "reduce" }, async (page) => {
+test("over the road there is a button to play, until the film is played or another moment gone to", async () => {
+  const begun = {
+    Space: true, // whether it plays then
+    ArrowRight: false,
+    End: false,
+  };
+  for (const [key, plays] of Object.entries(begun)) {
+    await withPage("two", { hash: "" }, async (page) => {
+      await ready(page);
+      const shown = () => page.locator(".begin:visible").count();
+      assert.equal(await shown(), 2); // one over each road
+      for (const other of ["+", "n", "d"]) await page.keyboard.press(other);
+      assert.equal(await shown(), 2);
+      await page.keyboard.press(key);
+      assert.equal((await state(page)).playing, plays, key);
+      assert.equal(await shown(), 0, key);
+      if (plays) await page.keyboard.press(key);
+      assert.equal(await shown(), 0, "it is paused, not at its beginning");
+    });
+  }
+  await withPage("one", { hash: "#t=20" }, async (page) => {
     await ready(page);
-    assert.deepEqual([(await state(page)).playing, (await state(page)).elapsed], [false, 0]);
+    const button = page.getByRole("button", { name: "Play", exact: true });
+    const [over, road] = await Promise.all([button.boundingBox(), page.locator(".stage canvas").boundingBox()]);
+    assert.ok(over.y > road.y + road.height / 2 && over.y + over.height < road.y + road.height, "it hides the host");
+    await page.keyboard.press("Tab");
+    await button.focus();
+    await page.keyboard.press("Space"); // of a button that has the focus, once
+    assert.equal((await state(page)).playing, true);
+    await page.waitForFunction(() => window.replay.state().elapsed > 20.2);
   });
 });
 

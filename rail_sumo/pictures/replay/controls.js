@@ -85,6 +85,7 @@ export function listen(act, has) {
   for (const [id, command] of Object.entries(BUTTONS)) {
     document.getElementById(id).addEventListener("click", () => act(...command));
   }
+  for (const button of document.querySelectorAll(".begin")) button.addEventListener("click", () => act("toggle", "playing"));
   const rate = document.getElementById("rate");
   rate.append(...RATES.map((value) => new Option(`${value}×`, value)));
   rate.addEventListener("change", () => act("rate", Number(rate.value)));
