@@ -731,6 +731,26 @@ test("dark is dark from the first frame on", async () => {
   });
 });
 
+test("light and dark are as the system is, until the reader chooses", async () => {
+  const colours = {};
+  for (const colorScheme of ["light", "dark"]) {
+    await withPage("one", { colorScheme }, async (page) => {
+      await ready(page);
+      const shown = () =>
+        page.evaluate(() => {
+          const { backgroundColor, color, colorScheme: scheme } = getComputedStyle(document.body);
+          return [backgroundColor, color, scheme];
+        });
+      colours[colorScheme] = await shown();
+      await page.keyboard.press("d");
+      colours[`not ${colorScheme}`] = await shown();
+    });
+  }
+  assert.deepEqual(colours.light, ["rgb(251, 251, 249)", "rgb(29, 37, 41)", "light"]);
+  assert.deepEqual(colours.dark, ["rgb(20, 24, 27)", "rgb(232, 236, 238)", "dark"]);
+  assert.deepEqual([colours["not light"], colours["not dark"]], [colours.dark, colours.light]);
+});
+
 test("names from users' files are text and nothing else", async () => {
   await withPage("hostile", {}, async (page) => {
     await ready(page);
