@@ -8,7 +8,7 @@ ARGS ?=
 BIN = $(VENV)/bin
 NETWORKS = $(patsubst %,networks/%.net.xml,arterial highway2 highway3 highway4 highway5 highway6 lane_drop onramp ring5)
 
-.PHONY: setup train test lint docs page-tests networks clean
+.PHONY: setup train test lint docs reference page-tests networks clean
 
 setup: $(VENV)/installed
 
@@ -29,6 +29,10 @@ lint: setup
 docs: $(VENV)/sphinx
 	$(BIN)/python -m sphinx --builder html --fail-on-warning --keep-going --fresh-env --quiet $(ARGS) docs build/docs
 	@echo "the site is in build/docs/index.html"
+
+# The pages of docs/reference that are made from the code. A test holds them against it.
+reference: setup
+	$(BIN)/python docs/_site/reference.py
 
 # The replay page: its scripts are linted, and it is opened in a browser. Needs Node.js 20 or later, npm and Chromium.
 page-tests: setup tests/page/node_modules/installed

@@ -16,7 +16,6 @@ extensions = [
     "sphinx.ext.autodoc",
     "sphinx.ext.napoleon",
     "sphinx_copybutton",
-    "_site.generated",
     "_site.drawn",
     "_site.formulas",
     "_site.tables",
@@ -26,7 +25,7 @@ root_doc = "index"
 language = "en"
 highlight_language = "none"  # of blocks that name no language: commands and what they print
 
-myst_enable_extensions = ["dollarmath", "deflist"]
+myst_enable_extensions = ["dollarmath"]
 myst_heading_anchors = 4  # `page.md#a-heading`, as code hosts have it
 
 # The pages with `{code-cell}` are run when the site is built, in a process of their own.

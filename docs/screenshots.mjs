@@ -28,7 +28,7 @@ const SHOTS = [
 
 const browser = await chromium.launch({ executablePath: process.env.CHROMIUM ?? "/usr/bin/chromium", args: ["--no-sandbox"] });
 for (const { name, page: of, at, viewport, colorScheme = "light" } of SHOTS) {
-  const page = await browser.newPage({ viewport, colorScheme, reducedMotion: "reduce" });
+  const page = await browser.newPage({ viewport, colorScheme });
   await page.goto(pathToFileURL(join(process.env.PAGES, `${of}.html`)).href);
   await page.waitForFunction(() => window.replay);
   await page.evaluate((seconds) => (location.hash = `#t=${seconds}`), at);

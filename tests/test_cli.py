@@ -135,6 +135,19 @@ def test_eval_prints_a_row_per_policy_and_writes_the_tables(rail_sumo, tmp_path)
     assert set(episodes["duration_s"][:2]) == {5.0}
 
 
+PARKED = """<routes><route id="r" edges="highway"/>
+<vehicle id="parked" depart="0" route="r" departLane="0"><stop lane="highway_0" endPos="400" duration="9999"/></vehicle>
+<vehicle id="me" depart="9" route="r" departLane="0"/></routes>"""
+
+
+def test_under_its_table_eval_tells_which_episodes_stood_still(rail_sumo, tmp_path):
+    (tmp_path / "parked.rou.xml").write_text(PARKED)
+    behind = ("--network", "highway3", "--routes", "parked.rou.xml", "--set", "traffic.host=me")
+    code, out, err = rail_sumo("eval", "keep", "--episodes", "2", "--workers", "1", *behind)
+    assert code == 0, err
+    assert out.splitlines()[-1] == "keep: 2 of 2 episodes ended at a standstill"
+
+
 def test_floating_car_data_lie_beside_the_tables_that_tell_of_the_same_drives(rail_sumo, tmp_path):
     assert rail_sumo("eval", "keep", "rule", "--episodes", "1", "--out", "out", "--fcd", *SHORT)[0] == 0
     assert {path.name for path in (tmp_path / "out" / "fcd").iterdir()} == {"policy=keep", "policy=rule"}

@@ -154,3 +154,38 @@ def test_a_flow_departs_when_it_begins(tmp_path):
     path = written(tmp_path, '<routes><flow id="f" begin="1000"/><vehicle id="v" depart="90"/></routes>')
     (told,) = demand.warnings(read([path]))
     assert "is not in order of departure: 'v' may enter late" in told
+
+
+NAMED = (
+    '<routes><vehicle id="taxi7" depart="0"/><trip id="42" depart="1"/><flow id="in.east" begin="0" end="9"/></routes>'
+)
+
+
+@pytest.mark.parametrize("name", ["taxi7", "42", "in.east.3", "taxi7.1", "late"])
+def test_a_vehicle_that_may_depart_is_not_refused(tmp_path, name):
+    """That of an included and of an additional file, a flow's, and one that an option has multiplied."""
+    written(tmp_path, NAMED, "named.xml")
+    late = written(tmp_path, '<additional><vehicle id="late" depart="9"/></additional>', "late.add.xml")
+    demand.require_vehicle(read([written(tmp_path, '<routes><include href="named.xml"/></routes>')], [late]), name)
+
+
+@pytest.mark.parametrize(
+    ("name", "near"),
+    [("taxi8", "taxi7"), ("in.east", "in.east.0"), ("in.east.x", "in.east.0"), ("aded", "added"), ("rail.0", "")],
+)
+def test_a_vehicle_that_certainly_does_not_depart_is_refused(tmp_path, name, near):
+    meant = f"; did you mean '{near}'?" if near else ""
+    with pytest.raises(InputError) as refused:
+        demand.require_vehicle(read([written(tmp_path, NAMED)]), name)
+    assert str(refused.value) == (
+        f"the demand has no vehicle '{name}', which traffic.host names{meant} (available: 42, in.east.0, taxi7)"
+    )
+
+
+@pytest.mark.parametrize("element", ['<person id="p" depart="0"/>', '<personFlow id="p"/>', '<calibrator id="c"/>'])
+def test_where_sumo_makes_vehicles_with_ids_of_its_own_nobody_is_refused(tmp_path, element):
+    demand.require_vehicle(read([written(tmp_path, NAMED)], [written(tmp_path, element, "own.add.xml")]), "p_0")
+
+
+def test_with_a_state_that_is_loaded_nobody_is_refused(tmp_path):
+    demand.require_vehicle(read([written(tmp_path, NAMED)], options=["load-state=state.xml"]), "c.0")

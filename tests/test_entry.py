@@ -142,7 +142,10 @@ def test_a_demand_that_ends_within_the_warm_up_is_entered_while_it_departs(make,
 @pytest.mark.parametrize(
     ("changes", "said"),
     [
-        ({"host": "car7"}, "^vehicle 'car7', which traffic.host names, has not departed by"),
+        (
+            {"host": "car4", "begin_s": 200.0},
+            "^vehicle 'car4', which traffic.host names, has not departed by .* depart from 0 s to 390 s: change ",
+        ),
         ({"warm_up_s": 395.0}, "^no car that the host could replace departed by .* depart from 0 s to 390 s: change "),
         ({"begin_s": 5000.0}, "^no car that the host could replace departed by .* depart from 0 s to 390 s: change "),
     ],
@@ -159,9 +162,15 @@ def test_a_named_vehicle_whose_route_cannot_be_driven_or_that_never_comes_is_tol
         make(world(network={"file": path, "course": ["highway"]}, traffic=traffic)).reset(seed=0)
     endless = '<flow id="f" begin="0" period="600"><route edges="highway"/></flow>'
     with pytest.raises(
-        InputError, match=r"^vehicle 'g\.1', which traffic\.host names, has not departed by 72.. s; .* from 0 s on: "
+        InputError, match=r"^vehicle 'f\.99', which traffic\.host names, has not departed by 72.. s; .* from 0 s on: "
     ):
-        make(on_highway3(demand(tmp_path, endless) | {"host": "g.1"})).reset(seed=0)
+        make(on_highway3(demand(tmp_path, endless) | {"host": "f.99"})).reset(seed=0)
+
+
+def test_a_vehicle_that_is_not_in_the_demand_is_told_before_anybody_drives(make, tmp_path):
+    said = r"^the demand has no vehicle 'car7', which traffic\.host names; did you mean 'car37'\? \(available: car0"
+    with pytest.raises(InputError, match=said):
+        make(on_highway3(demand(tmp_path) | {"host": "car7"}))
 
 
 def test_a_replaced_cars_route_is_the_course_to_its_end(make, tmp_path):

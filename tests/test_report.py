@@ -1,6 +1,7 @@
 import re
 import resource
 from contextlib import contextmanager
+from typing import get_args
 
 import numpy as np
 import pandas as pd
@@ -9,7 +10,7 @@ from rich.console import Console
 from scipy.stats import ttest_1samp
 
 from rail_sumo.errors import InputError
-from rail_sumo.records import EPISODE_COLUMNS, METRICS, SUMMARY_COLUMNS
+from rail_sumo.records import EPISODE_COLUMNS, METRICS, SUMMARY_COLUMNS, EndReason
 from rail_sumo.tables import report
 
 
@@ -47,12 +48,18 @@ def test_the_interval_is_of_the_mean_of_episodes():
     assert speed[["mean", "low", "high"]].tolist() == pytest.approx([speeds.mean(), *expected], abs=1e-6)
 
 
-@pytest.mark.parametrize("speeds_kmh", [[61.5], [61.5] * 16])
-def test_one_episode_has_no_interval_nor_have_episodes_that_are_all_the_same(speeds_kmh):
-    beside = rows("rule", speeds_kmh) + rows("expert", [60.0] * len(speeds_kmh))
-    speed = summarised(report.episodes(beside), "rule", "speed_kmh")
+def test_one_episode_has_no_interval():
+    speed = summarised(report.episodes(rows("rule", [61.5]) + rows("expert", [60.0])), "rule", "speed_kmh")
     assert speed[["mean", "ratio", "difference"]].tolist() == [61.5, 1.025, 1.5]
     assert speed[INTERVALS].isna().all()
+
+
+def test_episodes_that_are_all_the_same_have_intervals_without_width():
+    same = report.episodes(rows("rule", [61.5] * 16) + rows("expert", [60.0] * 16))
+    speed = summarised(same, "rule", "speed_kmh")
+    assert speed[["mean", "low", "high"]].tolist() == [61.5] * 3
+    assert speed[RATIO].tolist() == [1.025] * 3
+    assert speed[DIFFERENCE].tolist() == [1.5] * 3
 
 
 def test_ratio_is_of_the_means_and_only_beside_the_expert():
@@ -232,13 +239,14 @@ def test_the_terminal_shows_every_policy_with_its_ratio_within_100_columns():
     learned, expert = line_of("runs/[dense]", lines), line_of("expert  ", lines)
     # Half an interval of two episodes is 12.706 standard errors: of the mean 1, of the ratio 1 / 70. In both episodes
     # it was struck.
-    means = ["64.0", "±", "12.7", "1.0", "1.0", "1.0", "1.0", "1.00", "2"]
+    equal = ["1.0", "±", "0.0"]
+    means = ["64.0", "±", "12.7", *equal, *equal, "1.0", "1.0", "1.00", "2"]
     assert lines[learned].split()[-len(means) :] == means
-    ratios = ["0.91", "±", "0.18", "1.00", "1.00"]  # of speed, overtakes and lane changes alone
+    ratios = ["0.91", "±", "0.18", "1.00", "±", "0.00", "1.00", "±", "0.00"]  # of no other
     assert lines[learned + 1].split()[-len(ratios) :] == ratios
     named = " ".join(re.split(r"  +", line.strip())[0] for line in lines[learned:expert])
     assert named == name  # whole, on however many lines
-    assert lines[expert].split() == ["expert", "70.0", "1.0", "1.0", "1.0", "1.0", "1.00", "2"]
+    assert lines[expert].split() == ["expert", "70.0", "±", "0.0", *equal, *equal, "1.0", "1.0", "1.00", "2"]
     assert not lines[expert + 1].strip()  # of itself it is no ratio
     assert "means over 2 episodes ± 95 % interval; below, ratios to expert" in " ".join(" ".join(lines).split())
 
@@ -299,6 +307,23 @@ def test_the_terminal_counts_the_episodes_with_a_contact():
     lines = printed(report.summary(report.episodes(rule)))
     assert "contacts" in " ".join(lines)
     assert lines[line_of("rule", lines)].split()[-1] == "2"
+
+
+def test_episodes_that_were_cut_short_are_counted_by_policy_and_why():
+    rule, mine, usual = (rows(name, [60.0] * 16) for name in ("rule", "mine", "usual"))
+    rule[3]["end_reason"] = rule[5]["end_reason"] = "standstill"
+    mine[0]["end_reason"], mine[1]["end_reason"] = "SUMO stopped", "standstill"
+    for row, end in zip(usual, get_args(EndReason)[:4], strict=False):
+        row["end_reason"] = end  # these are ordinary, and contacts are in the table
+    assert report.cut_short(report.episodes([*rule, *mine, *usual])) == [
+        "rule: 2 of 16 episodes ended at a standstill",
+        "mine: 1 of 16 episodes ended at a standstill; "
+        "1 of 16 episodes ended because SUMO stopped (left out of the means)",
+    ]
+
+
+def test_every_end_is_ordinary_or_told():
+    assert {"course", "duration", "end of road", "collision", *report._CUT_SHORT} == set(get_args(EndReason))
 
 
 @pytest.mark.parametrize(("least", "has_intervals"), [(100.0, True), (1e9, False)])

@@ -9,6 +9,7 @@ import pytest
 from rail_sumo import assets, config_file, run
 from rail_sumo.errors import InputError
 from rail_sumo.pictures import report_page
+from rail_sumo.tables import report
 from rail_sumo.tables.shares import HEADINGS
 
 BRIEF = ["episode.duration_s=10.0", "traffic.vehicles=30"]
@@ -44,6 +45,8 @@ def test_the_page_holds_every_mean_interval_and_ratio_of_the_summary(evaluation,
     page = (tmp_path / "page.html").read_text()
     told = {row[0][0]: row[1:] for row in rows_of(page, "Evaluation")}
     for metric, by_policy in tables.summary.groupby("metric"):
+        if metric in report.CONTACTS:
+            continue
         by_policy = by_policy.set_index("policy")
         mean, other, ratio = told[metric][0], told[metric][1], told[metric][2]
         assert float(mean[0]) == by_policy.loc["expert", "mean"]
@@ -54,6 +57,21 @@ def test_the_page_holds_every_mean_interval_and_ratio_of_the_summary(evaluation,
             assert float(ratio[0]) == by_policy.loc["<b>&random", "ratio"]
     assert html.escape("rail-sumo eval expert '<b>&random'") in page
     assert "<b>" not in page.replace("<body>", "")
+
+
+def test_of_contacts_the_page_tells_how_many_episodes_had_one_with_the_interval_of_their_share(evaluation, tmp_path):
+    """As a mean of counts (here 5 in 10 episodes) would not go with an interval of a share (of 4 of 10)."""
+    _, tables = evaluation
+    row = {name: tables.episodes[name].iloc[0] for name in tables.episodes} | {"policy": "rule", "struck": 0}
+    rows = [row | {"episode": k, "collisions": count} for k, count in enumerate([0] * 6 + [1, 1, 1, 2])]
+    episodes = report.episodes(rows)
+    report.write(tmp_path / "mine", episodes=episodes, summary=report.summary(episodes))
+    report_page.write([tmp_path / "mine"], tmp_path / "page.html")
+    page = (tmp_path / "page.html").read_text()
+    told = {row[0][0]: row[1:] for row in rows_of(page, "Evaluation")}
+    assert told["collisions"] == [("0.4", "4 of 10<small>17 to 69 %</small>")]  # Wilson's, of 4 of 10
+    assert told["struck"] == [("0.0", "0 of 10<small>0 to 28 %</small>")]
+    assert "Of collisions and struck: in how many episodes there was one, with the 95 % interval of that share." in page
 
 
 def test_of_a_hundred_decisions_so_many_were_of_each_kind(evaluation, tmp_path):

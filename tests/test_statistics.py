@@ -27,11 +27,16 @@ def test_two_units_by_hand():
     assert mean([1.0, 3.0]) == pytest.approx((2.0, 2.0 - 12.706, 2.0 + 12.706), abs=1e-3)
 
 
-@pytest.mark.parametrize("same", [[61.5], [0.0] * 16, [70.1] * 160])
-def test_units_that_are_all_the_same_do_not_tell_how_others_may_differ(same):
-    value, low, high = mean(same)
-    assert value == pytest.approx(same[0])
+def test_one_unit_does_not_tell_how_others_may_differ():
+    value, low, high = mean([61.5])
+    assert value == 61.5
     assert np.isnan([low, high]).all()
+
+
+@pytest.mark.parametrize("same", [[61.5] * 2, [0.0] * 16, [70.1] * 160])
+def test_units_that_are_all_the_same_have_an_interval_without_width(same):
+    value, low, high = mean(same)
+    assert low == value == high == pytest.approx(same[0])
 
 
 def test_of_nothing_there_is_no_mean():
@@ -50,7 +55,7 @@ def test_what_is_compared_on_the_same_traffic_is_compared_unit_by_unit():
     assert high - low < 0.2
     always = ratio(1.1 * ours, ours)
     assert always.value == pytest.approx(1.1)
-    assert np.isnan(always.low)  # without exception
+    assert always.low == always.high == always.value  # without exception
     narrow, wide = ratio(ours, theirs), ratio(ours, theirs[::-1])
     assert wide.high - wide.low > 5 * (narrow.high - narrow.low)
 

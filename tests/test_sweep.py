@@ -2,11 +2,13 @@
 
 import json
 import math
+import re
 from dataclasses import replace
 
 import numpy as np
 import pandas as pd
 import pytest
+from rich.console import Console
 
 from rail_sumo import cli, config_file
 from rail_sumo.errors import InputError
@@ -14,7 +16,7 @@ from rail_sumo.pictures import plot
 from rail_sumo.studies import sweep
 from rail_sumo.studies.sweep import Sweep
 from rail_sumo.tables import report, shares, traffic
-from rail_sumo.tables.shares import AS_THEY_ARE, compared, summarised
+from rail_sumo.tables.shares import AS_THEY_ARE, TOLD, compared, summarised, told_table
 
 ROUTES = """<routes>
     <vType id="car" speedFactor="normc(0.9,0.1,0.7,1.1)"/><vType id="lorry" vClass="truck" maxSpeed="22"/>
@@ -161,6 +163,52 @@ def test_the_summary_says_how_many_seeds_five_percent_would_take():
     assert (speed["mean"], speed["high"]) == (65.0, pytest.approx(65.0 + reach, abs=1e-2))
     assert speed["seeds_for_5_percent"] == math.ceil((12.7062 * math.sqrt(50.0) / (0.05 * 65.0)) ** 2)
     assert np.isnan(told.loc["collisions", "seeds_for_5_percent"])
+
+
+CELLS = ["1369 (+1 ± 3)", "105.6 (+5.2 ± 10.5)", "1.21 (+0.02 ± 0.14)", "0.72 (+0.05 ± 0.04)"]
+CELLS += ["0.020 (-0.057 ± 0.005)", "0.000 (+0.000 ± 0.000)", "252.6 (+14.8 ± 0.9)", "0.0 (+0.0 ± 0.0)"]
+
+
+@pytest.mark.parametrize(
+    ("width", "left_out"),
+    [
+        (80, ["lane changes", "hard brakings", "TTC < 1.5 s", "CO2"]),
+        (120, ["CO2"]),
+        (160, []),
+    ],
+)
+@pytest.mark.parametrize("driver", ["road-rail", "runs/a-name-that-is-folded"])
+def test_the_terminal_shows_what_fits_with_whole_headings_and_says_where_the_rest_is(width, left_out, driver):
+    rows = [["as they are", "", "0%", *(cell.partition(" ")[0] for cell in CELLS)], [driver, "", "50%", *CELLS]]
+    console = Console(width=width)
+    with console.capture() as shown:
+        console.print(told_table("", rows, "What these are.", width=width))
+    lines = shown.get().splitlines()
+    assert max(map(len, lines)) <= width
+    assert "…" not in shown.get()
+    names = [told.name for told in TOLD.values() if told.name not in left_out]
+    assert re.split(r"  +", lines[1].strip()) == names
+    differences = [
+        cell.partition("(")[2][:-1] for cell, told in zip(CELLS, TOLD.values(), strict=True) if told.name in names
+    ]
+    assert re.split(r"  +", lines[6].strip())[-len(names) :] == differences
+    rest = f"What these are. Not shown for want of room, but in sweep.md: {', '.join(left_out)}."
+    below = " ".join(" ".join(lines[7:]).split())
+    assert below.endswith(rest if left_out else "What these are.")
+
+
+def test_a_measure_without_a_value_is_a_dash():
+    table = made_up(
+        {
+            (AS_THEY_ARE, 0.0, "all"): (60.0, 70.0),
+            (AS_THEY_ARE, 0.5, "all"): (60.0, 70.0),
+            ("rule", 0.5, "all"): (61.0, 71.0),
+        }
+    )
+    table["co2_g_per_vehkm"] = np.nan
+    rows = shares.told_rows(table, compared(table))
+    assert [row[-2] for row in rows] == ["-", "-"]
+    assert rows[1][4] == "66.0 (+1.0 ± 0.0)"
 
 
 def test_a_key_may_be_swept_over(world, tmp_path):

@@ -1,4 +1,7 @@
-"""The reference, made from the code as Markdown: commands, configuration keys, tables' columns. Needs no Sphinx."""
+"""The reference, made from the code as Markdown: commands, configuration keys, tables' columns. Needs no Sphinx.
+
+`make reference` writes its pages, which are committed: they are read on a code host too.
+"""
 
 import inspect
 import typing
@@ -191,9 +194,9 @@ def columns() -> str:
 
 
 def _defined(name: str, meaning: str, more: str) -> str:
-    """Return an entry of a definition list."""
-    meaning = " ".join(meaning.split())
-    return "\n".join([f"`{name}`", *(f": {text[:1].upper()}{text[1:]}" for text in (meaning, more) if text)])
+    """Return an entry of a list: what it means, and on the next line its type, or whether it must be given."""
+    told = [f"{text[:1].upper()}{text[1:]}" for text in (" ".join(meaning.split()), more) if text]
+    return f"- `{name}`: " + "\\\n  ".join(told)
 
 
 def _literal(text: str) -> str:
@@ -207,3 +210,31 @@ def _table(headings: tuple[str, ...], rows: list[list[str]]) -> str:
 
 def _cell(text: str) -> str:
     return " ".join(text.split()).replace("|", "\\|")
+
+
+MADE_BY = "Made from the code by `make reference`; change it there."
+PAGES = {
+    "commands.md": (f"# Commands\n\n{MADE_BY} In a terminal, `rail-sumo COMMAND --help` tells the same.", commands),
+    "configuration.md": (
+        f"# Configuration keys\n\n{MADE_BY} In a terminal, `rail-sumo config` prints the same as a file to start from.",
+        keys,
+    ),
+    "tables.md": (f"# Columns of the tables\n\n{MADE_BY}", columns),
+}
+"""What the pages begin with, and what is made for them."""
+
+
+def page(name: str) -> str:
+    """Return a page of the reference."""
+    beginning, made = PAGES[name]
+    return f"{beginning}\n\n{made()}\n"
+
+
+def main() -> None:
+    """Write the pages into docs/reference."""
+    for name in PAGES:
+        (Path(__file__).parents[1] / "reference" / name).write_text(page(name), encoding="utf-8")
+
+
+if __name__ == "__main__":
+    main()

@@ -69,10 +69,12 @@ def progress_bars() -> Iterator[_Bars]:
 
 
 def show(tables: "Tables", out: Path | None) -> None:
-    """Print an evaluation's table, and where the whole of it is."""
+    """Print an evaluation's table, which episodes were cut short, and where the whole of it is."""
     from rail_sumo.tables import report
 
     console = Console() if sys.stdout.isatty() else Console(width=100)
     console.print(report.table(tables.summary, width=console.width))
+    for line in report.cut_short(tables.episodes):
+        console.print(escape(line), soft_wrap=True, highlight=False)
     if out:
         console.print(f"tables in {escape(str(out))}", soft_wrap=True)

@@ -131,7 +131,8 @@ def sweep(
     if as_json:
         print(tables.differences.to_json(orient="records", indent=2))
         return
-    Console(width=None if sys.stdout.isatty() else 120).print(study.shown(swept, tables))
+    console = Console(width=None if sys.stdout.isatty() else 120)
+    console.print(study.shown(swept, tables, width=console.width))
     print(f"tables, figures and sweep.md in {out}")
 
 

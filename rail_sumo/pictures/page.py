@@ -120,7 +120,7 @@ def whole_page(ground: Ground, films: Sequence[Film], *, title: str, about: Mapp
             for name, blob in packed.items()
         ),
     ]
-    style = _read("vendor/uPlot.min.css") + _read("style.css")
+    style = _read("vendor/uPlot.min.css") + _dark_where_the_system_is(_read("style.css"))
     licence = f"/*!\n{_read('vendor/uPlot-LICENSE.txt').rstrip()}\n*/\n"  # goes with every copy
     scripts = (licence + _read("vendor/uPlot.iife.min.js"), joined_modules())
     policy = (
@@ -135,6 +135,16 @@ def whole_page(ground: Ground, films: Sequence[Film], *, title: str, about: Mapp
         "scripts": f'<script>{scripts[0]}</script>\n<script type="module">{scripts[1]}</script>',
     }
     return re.sub(r"<!-- ([a-z]+) -->", lambda found: parts[found[1]], _read("page.html"))
+
+
+def _dark_where_the_system_is(style: str) -> str:
+    """Return a style sheet whose dark colours, the reader's choice, hold on a dark system too unless light is chosen.
+
+    A style sheet cannot say both at once, and a script would come after the first light picture.
+    """
+    dark = re.search(r':root\[data-theme="dark"\] (\{[^}]*\})', style)
+    assert dark is not None
+    return f'{style}@media (prefers-color-scheme: dark) {{ :root:not([data-theme="light"]) {dark[1]} }}\n'
 
 
 def joined_modules() -> str:

@@ -20,7 +20,7 @@ from rail_sumo.files import check_file, whole_file
 from rail_sumo.pictures import plot
 from rail_sumo.records import MetaAction
 from rail_sumo.run_directory import CLONE, CONFIG, PROGRESS
-from rail_sumo.tables.report import DECISIONS, EPISODES, ORIGIN, SUMMARY, WORLD
+from rail_sumo.tables.report import CONTACTS, DECISIONS, EPISODES, ORIGIN, SUMMARY, WORLD
 from rail_sumo.tables.shares import HEADINGS
 
 if TYPE_CHECKING:
@@ -127,6 +127,11 @@ def _evaluation(episodes: pd.DataFrame, summary: pd.DataFrame) -> Iterator[str]:
         by_policy = of_metric.set_index("policy")
         row: dict[str, Any] = {"metric": metric}
         for policy in policies:
+            if metric in CONTACTS:
+                row[policy] = _with_contact(
+                    episodes.loc[episodes["policy"] == policy, str(metric)], by_policy.loc[policy]
+                )
+                continue
             row[policy] = _with_interval(by_policy.loc[policy], "mean")
             if policy != reference and np.isfinite(by_policy.loc[policy, "ratio"]):
                 row[f"{policy}, of {reference}'s"] = _with_interval(by_policy.loc[policy], "ratio")
@@ -134,7 +139,10 @@ def _evaluation(episodes: pd.DataFrame, summary: pd.DataFrame) -> Iterator[str]:
     most = int(summary["episodes"].max())
     caption = f"Means over {most} episodes, with 95 % intervals; ratios are paired by episode."
     if most == 1:
-        caption = "One episode, without intervals."
+        caption = "One episode: means have no intervals."
+    caption += (
+        f" Of {' and '.join(CONTACTS)}: in how many episodes there was one, with the 95 % interval of that share."
+    )
     yield "<h3>Evaluation</h3>" + _table(pd.DataFrame(rows).astype(object).fillna(""), caption)
     yield _picture(_points(episodes, policies), "Every episode is a point; the line is the mean.", "Episodes")
     yield "<details><summary>All episodes</summary>" + _table(episodes) + "</details>"
@@ -146,6 +154,19 @@ class _Interval(NamedTuple):
     value: float
     low: float
     high: float
+
+
+class _Share(NamedTuple):
+    """In how many episodes something happened, and the 95 % interval of that share, as a cell of a table."""
+
+    happened: int
+    episodes: int
+    low: float
+    high: float
+
+
+def _with_contact(contacts: "pd.Series[Any]", row: "pd.Series[Any]") -> _Share:
+    return _Share(int((contacts > 0).sum()), int(row["episodes"]), float(row["low"]), float(row["high"]))
 
 
 def _with_interval(row: "pd.Series[Any]", what: str) -> _Interval:
@@ -293,6 +314,12 @@ def _cell(value: Any) -> str:
     if isinstance(value, _Interval):
         within = "" if math.isnan(value.low) else f"<small>{value.low:.4g} to {value.high:.4g}</small>"
         return _cell(value.value).replace("</td>", f"{within}</td>")
+    if isinstance(value, _Share):
+        if not value.episodes:
+            return "<td></td>"
+        within = f"<small>{100 * value.low:.2g} to {100 * value.high:.2g} %</small>"
+        share = value.happened / value.episodes
+        return f'<td data-value="{share!r}">{value.happened} of {value.episodes}{within}</td>'
     if isinstance(value, float):
         return "<td></td>" if math.isnan(value) else f'<td data-value="{value!r}">{value:.4g}</td>'
     text = html.escape(str(value))

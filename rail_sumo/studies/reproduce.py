@@ -306,8 +306,8 @@ def _line(head: str, cells: Iterable[str]) -> str:
 
 
 def with_interval(value: float, low: float, high: float, decimals: int = 3) -> str:
-    """Return a figure as tables show it, with its interval if it has one; nothing for what is not known."""
+    """Return a figure as tables show it, with its interval if that has a width; nothing for what is not known."""
     if not np.isfinite(value):
         return ""
-    interval = f" ({low:.{decimals}f} to {high:.{decimals}f})" if np.isfinite([low, high]).all() else ""
+    interval = f" ({low:.{decimals}f} to {high:.{decimals}f})" if low < high else ""
     return f"{value:.{decimals}f}{interval}"

@@ -19,8 +19,6 @@ from typing import Any, NamedTuple
 from urllib.parse import quote
 
 import pandas as pd
-from rich.box import SIMPLE_HEAD
-from rich.markup import escape
 from rich.table import Table
 
 from rail_sumo import assets, config_file, drivers, rollout, run, training
@@ -43,6 +41,7 @@ from rail_sumo.tables.shares import (
     compared,
     summarised,
     told_rows,
+    told_table,
 )
 
 SHARE = "share"
@@ -344,11 +343,13 @@ def _with_emissions(world: Config) -> Config:
 
 def markdown(sweep: Sweep, tables: Tables) -> str:
     """Return the study as a page: what was driven, the means of all vehicles, and how they differ from share 0."""
-    headings, rows = _told(sweep, tables)
+    setting = [] if sweep.key == SHARE else [sweep.key]
+    headings = ["driver", *setting, "share", *(told.heading for told in TOLD.values())]
+    rows = [[driver, *([value] if setting else []), *cells] for driver, value, *cells in _rows_of(tables)]
     lines = [
         f"# {sweep.config.network.file}: {', '.join(sweep.drivers)}",
         "",
-        _caption(sweep, tables),
+        _caption(sweep, tables, "in brackets"),
         "",
         *((f"    {sweep.command}", "") if sweep.command else ()),
         f"| {' | '.join(headings)} |",
@@ -358,18 +359,17 @@ def markdown(sweep: Sweep, tables: Tables) -> str:
     return "\n".join(lines) + "\n"
 
 
-def shown(sweep: Sweep, tables: Tables) -> Table:
-    """Return the same for the terminal."""
-    headings, rows = _told(sweep, tables)
-    told = Table(box=SIMPLE_HEAD, caption=_caption(sweep, tables))
-    for number, heading in enumerate(headings):
-        told.add_column(heading, justify="right" if number else "left", no_wrap=not number)
-    for row in rows:
-        told.add_row(*(escape(cell).replace(" (", "\n(") for cell in row))
-    return told
+def shown(sweep: Sweep, tables: Tables, *, width: int) -> Table:
+    """Return the same for a terminal of so many columns, without what does not fit."""
+    key = "" if sweep.key == SHARE else sweep.key
+    return told_table(key, _rows_of(tables), _caption(sweep, tables, "below them"), width=width)
 
 
-def _caption(sweep: Sweep, tables: Tables) -> str:
+def _rows_of(tables: Tables) -> list[list[str]]:
+    return told_rows(tables.traffic, tables.differences)
+
+
+def _caption(sweep: Sweep, tables: Tables, where: str) -> str:
     seeds = f"{sweep.seeds} seeds" if sweep.seeds > 1 else "one seed: no interval"
     undriven = tables.traffic.loc[tables.traffic["vehicles"] == traffic.DRIVEN, "undriven"].max()
     left = (
@@ -378,17 +378,8 @@ def _caption(sweep: Sweep, tables: Tables) -> str:
     few = f" Fewer than {FEW_SEEDS} seeds: intervals are very wide." if 1 < sweep.seeds < FEW_SEEDS else ""
     return (
         f"{seeds}; {sweep.duration_s:g} s each, after {tables.warm_up_s:g} s that do not count. Means of all vehicles; "
-        f"in brackets the difference from share 0 on the same traffic, ± half its 95 % interval.{few}{left}"
+        f"{where} the difference from share 0 on the same traffic, ± half its 95 % interval.{few}{left}"
     )
-
-
-def _told(sweep: Sweep, tables: Tables) -> tuple[list[str], list[list[str]]]:
-    """Return headings and cells; the value of the key only where one is swept over."""
-    headings = ["driver", sweep.key, "share", *(heading for heading, _ in TOLD.values())]
-    rows = told_rows(tables.traffic, tables.differences)
-    if sweep.key != SHARE:
-        return headings, rows
-    return [headings[0], *headings[2:]], [[row[0], *row[2:]] for row in rows]
 
 
 def shares_of(texts: Sequence[str]) -> tuple[float, ...]:

@@ -13,7 +13,7 @@ from rich.markup import escape
 from rich.table import Table
 
 from rail_sumo.files import whole_folder
-from rail_sumo.records import DECISION_COLUMNS, EPISODE_COLUMNS, METRICS, SUMMARY_COLUMNS, UNDRIVEN, Floats
+from rail_sumo.records import DECISION_COLUMNS, EPISODE_COLUMNS, METRICS, SUMMARY_COLUMNS, UNDRIVEN, EndReason, Floats
 from rail_sumo.tables import statistics
 
 EXPERT = "expert"
@@ -54,8 +54,8 @@ def summary(episodes: pd.DataFrame, reference: str = EXPERT) -> pd.DataFrame:
     `low` and `high` are the 95 % interval of `mean`. `ratio` is the policy's mean over the reference's, `difference`
     the mean of policy minus reference, both episode by episode on the same traffic, with intervals of their own (see
     `statistics`). Of `collisions` and `struck` the interval is Wilson's, of the share of episodes with one, and ratio
-    and difference have none. Without an interval, as of one episode or of episodes that are all the same, both ends are
-    NaN; so are ratio and difference where the reference was not evaluated beside.
+    and difference have none. Of one episode, which tells no interval, both ends are NaN; so are ratio and difference
+    where the reference was not evaluated beside.
 
     Episodes in which the host never closed in on a vehicle have an infinite `min_ttc_s`; that metric is summarised
     over the others, `episodes` of them, and NaN if there are none. Its ratio and difference are over the episodes in
@@ -161,18 +161,18 @@ def table(summary: pd.DataFrame, *, width: int = WIDE) -> Table:
     fewer = [(dict(list(_TOLD.items())[:n]), True) for n in range(len(_TOLD), -1, -1)]
     for told, has_intervals in (*fewer, ({}, False)):
         shown = _table(summary, told, has_intervals=has_intervals)
-        if _width(shown, summary["policy"]) <= width:
+        if width_of(shown, summary["policy"]) <= width:
             break
     return shown
 
 
-def _width(shown: Table, policies: "pd.Series[str]") -> int:
-    """Return how many columns a table takes, with its policies' names folded as far as they may be."""
+def width_of(shown: Table, names: Iterable[str]) -> int:
+    """Return how many columns a table takes whose first column has these names, folded as far as they may be."""
     wide = Console(width=1000, file=io.StringIO())
     with wide.capture() as text:
         wide.print(shown)
     taken = max(len(line.rstrip()) for line in text.get().splitlines())
-    longest = int(policies.str.len().max())
+    longest = max(map(len, names))
     return taken - max(0, longest - NAME_WIDTH)
 
 
@@ -180,12 +180,10 @@ def _table(summary: pd.DataFrame, told: dict[str, tuple[str, int]], *, has_inter
     policies, reference = summary["policy"].unique(), summary["reference"].iloc[0]
     by_metric = summary.set_index(["policy", "metric"])
     n = by_metric["episodes"].max()
-    left_out = n - by_metric.xs("speed_kmh", level="metric")["episodes"]
     compared = reference in policies and len(policies) > 1
     episodes = f"means over {n} episodes{' ± 95 % interval' * has_intervals}" if n > 1 else "one episode: no interval"
     below = f"; below, ratios to {escape(reference)}" if compared else ""
-    fewer = "; ".join(f"{escape(str(name))}: {few} fewer" for name, few in left_out[left_out > 0].items())
-    shown = Table(box=SIMPLE_HEAD, caption=episodes + below + (f" ({fewer})" if fewer else ""))
+    shown = Table(box=SIMPLE_HEAD, caption=episodes + below)
     shown.add_column("policy", overflow="fold", min_width=NAME_WIDTH)
     for heading in (*_COMPARED, *told, "contacts"):
         shown.add_column(heading, justify="right", no_wrap=True)
@@ -204,6 +202,33 @@ def _table(summary: pd.DataFrame, told: dict[str, tuple[str, int]], *, has_inter
         contacts = sum(by_metric.loc[(policy, metric), "mean"] for metric in CONTACTS) * n
         shown.add_row(escape(policy), *cells, f"{contacts:.0f}")
     return shown
+
+
+_CUT_SHORT: dict[EndReason, str] = {
+    "standstill": "ended at a standstill",
+    "left the road": "ended off the road",
+    "not begun": "could not begin (left out of the means)",
+    "SUMO stopped": "ended because SUMO stopped (left out of the means)",
+}
+"""Ends that are not the ordinary ones, but collisions: these the table counts as contacts."""
+
+
+def cut_short(episodes: pd.DataFrame) -> list[str]:
+    """Return a line for each policy with episodes that were cut short: how many, and why.
+
+    Such as "rule: 2 of 16 episodes ended at a standstill". Episodes that ended in a contact are not among them: the
+    table for the terminal has them in a column of their own.
+
+    Args:
+        episodes: the `episodes` table.
+    """
+    lines = []
+    for policy, driven in episodes.groupby("policy", sort=False):
+        counts = driven["end_reason"].value_counts()
+        told = [f"{counts[end]} of {len(driven)} episodes {what}" for end, what in _CUT_SHORT.items() if end in counts]
+        if told:
+            lines.append(f"{policy}: {'; '.join(told)}")
+    return lines
 
 
 def _with_interval(value: float, low: float, high: float, decimals: int) -> str:

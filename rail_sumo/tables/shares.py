@@ -1,9 +1,13 @@
 """Rows of runs with a share of driven cars -> means, differences from share 0, and the table that is printed."""
 
 import math
+from typing import NamedTuple
 
 import numpy as np
 import pandas as pd
+from rich.box import SIMPLE_HEAD
+from rich.markup import escape
+from rich.table import Table
 
 from rail_sumo.tables import report, statistics, traffic
 
@@ -120,29 +124,49 @@ HEADINGS = {
     "teleports": "teleports",
 }
 """What figures call the measures."""
+
+
+class Shown(NamedTuple):
+    """How a measure is shown."""
+
+    name: str
+    unit: str
+    decimals: int
+
+    @property
+    def heading(self) -> str:
+        """Its name with its unit, on one line."""
+        return ", ".join(filter(None, (self.name, self.unit)))
+
+
+CONTACTS = "collisions"
 TOLD = {
-    "flow_vehph": ("flow, veh/h", 0),
-    "speed_kmh": ("speed, km/h", 1),
-    "time_loss_s_per_km": ("time loss, s/km", 2),
-    "lane_changes_per_vehkm": ("lane changes / veh km", 2),
-    "hard_brakings_per_vehkm": ("hard brakings / veh km", 3),
-    "ttc_below_1_5s_per_vehkm": ("TTC < 1.5 s / veh km", 3),
-    "co2_g_per_vehkm": ("CO2, g / veh km", 1),
-    "collisions": ("contacts", 1),
+    "flow_vehph": Shown("flow", "veh/h", 0),
+    "speed_kmh": Shown("speed", "km/h", 1),
+    "time_loss_s_per_km": Shown("time loss", "s/km", 2),
+    "lane_changes_per_vehkm": Shown("lane changes", "per veh km", 2),
+    "hard_brakings_per_vehkm": Shown("hard brakings", "per veh km", 3),
+    "ttc_below_1_5s_per_vehkm": Shown("TTC < 1.5 s", "per veh km", 3),
+    "co2_g_per_vehkm": Shown("CO2", "g per veh km", 1),
+    CONTACTS: Shown("contacts", "", 1),
 }
-"""The measures that `sweep.md` and the terminal show: heading and decimals."""
+"""The measures that `sweep.md` shows, and the terminal as many of them as fit."""
 
 
 def told_rows(table: pd.DataFrame, differences: pd.DataFrame) -> list[list[str]]:
-    """Return for each driver, setting and share its cells: who, where, how many, and the measures of `TOLD`."""
+    """Return for each driver, setting and share its cells: who, where, how many, and the measures of `TOLD`.
+
+    A measure without a value, as of the emissions of trips where none began, is a dash.
+    """
     of_all = table[(table["vehicles"] == traffic.ALL) & ((table["driver"] != AS_THEY_ARE) | (table["share"] == 0.0))]
     changes = differences[differences["vehicles"] == traffic.ALL].set_index(["driver", "setting", "share", "measure"])
     rows = []
     for (driver, setting, share), of_seeds in of_all.groupby(["driver", "setting", "share"], sort=False):
         cells = [driver if share else "as they are", setting, f"{share:.0%}"]
-        for measure, (_, decimals) in TOLD.items():
-            cell = f"{of_seeds[measure].mean():.{decimals}f}"
-            if share:
+        for measure, (_, _, decimals) in TOLD.items():
+            mean = of_seeds[measure].mean()
+            cell = f"{mean:.{decimals}f}" if np.isfinite(mean) else "-"
+            if share and np.isfinite(mean):
                 change = changes.loc[(driver, setting, share, measure)]
                 cell += f" ({change['difference']:+.{decimals}f}"
                 reach = (change["difference_high"] - change["difference_low"]) / 2
@@ -150,3 +174,43 @@ def told_rows(table: pd.DataFrame, differences: pd.DataFrame) -> list[list[str]]
             cells.append(cell)
         rows.append(cells)
     return rows
+
+
+def told_table(key: str, rows: list[list[str]], caption: str, *, width: int) -> Table:
+    """Return the table for the terminal: a row per driver and share, dimmed below each the differences.
+
+    Args:
+        key: the key that is swept over; empty where that is the share.
+        rows: as `told_rows` returns them.
+        caption: is told below it, and which measures are left out.
+        width: of the terminal; where the table does not fit, the last measures before the contacts are left out.
+    """
+    others = [measure for measure in TOLD if measure != CONTACTS]
+    for n in range(len(others), -1, -1):
+        shown = _table(key, rows, caption, [*others[:n], CONTACTS])
+        if report.width_of(shown, [row[0] for row in rows]) <= width:
+            break
+    return shown
+
+
+def _table(key: str, rows: list[list[str]], caption: str, measures: list[str]) -> Table:
+    left_out = [told.name for measure, told in TOLD.items() if measure not in measures]
+    more = f"\nNot shown for want of room, but in sweep.md: {', '.join(left_out)}." if left_out else ""
+    shown = Table(box=SIMPLE_HEAD, caption=caption + more, collapse_padding=True, pad_edge=False)
+    shown.add_column("driver", overflow="fold", min_width=report.NAME_WIDTH)
+    for heading in (*([key] if key else []), "share", *(f"{TOLD[one].name}\n{TOLD[one].unit}" for one in measures)):
+        shown.add_column(heading, justify="right", no_wrap=True)
+    for driver, setting, share, *cells in rows:
+        by_measure = dict(zip(TOLD, cells, strict=True))
+        shown.add_row(
+            escape(driver),
+            *([escape(setting)] if key else []),
+            share,
+            *(_two_lines(by_measure[one]) for one in measures),
+        )
+    return shown
+
+
+def _two_lines(cell: str) -> str:
+    mean, _, difference = cell.partition(" (")
+    return f"{mean}\n[dim]{difference.removesuffix(')')}[/]" if difference else mean

@@ -28,7 +28,7 @@ ROUNDING = 1e-12
 
 
 class Estimate(NamedTuple):
-    """A figure with its 95 % interval, which is NaN where the units do not tell one."""
+    """A figure with its 95 % interval, which is NaN where a single unit does not tell one."""
 
     value: float
     low: float
@@ -52,7 +52,8 @@ def units(scores: ArrayLike, *, trained: bool) -> Floats:
 def mean(scores: ArrayLike) -> Estimate:
     """Return the mean of units, shape (n_units,); NaN of none.
 
-    Of one unit there is no interval, nor of units that are all the same: they do not tell how much others may differ.
+    Of one unit there is no interval. That of units which are all the same has no width: they did not vary, which does
+    not tell that others cannot.
     """
     scores = np.asarray(scores, dtype=np.float64)
     return _around(float(scores.mean()), scores) if len(scores) else UNKNOWN
@@ -104,8 +105,10 @@ def probability_of_improvement(scores: ArrayLike, reference: ArrayLike) -> float
 def _around(value: float, deviating: Floats) -> Estimate:
     """Return the value with Student's interval from what deviates as its units do."""
     n = len(deviating)
-    error = deviating.std(ddof=1) / math.sqrt(n) if n > 1 else 0.0
-    if error <= ROUNDING * abs(value):
+    if n == 1:
         return Estimate(value, math.nan, math.nan)
+    error = deviating.std(ddof=1) / math.sqrt(n)
+    if error <= ROUNDING * abs(value):
+        return Estimate(value, value, value)
     reach = float(stats.t.ppf((1 + CONFIDENCE) / 2, n - 1) * error)
     return Estimate(value, value - reach, value + reach)

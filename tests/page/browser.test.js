@@ -90,11 +90,13 @@ const inShade = (page, name, [r, g, b]) =>
 
 for (const [size, viewport] of Object.entries({ "1280 x 800": WIDE, "390 x 844": NARROW })) {
   for (const name of ["one", "two", "thousand", "town"]) {
-    test(`${name}, ${size}: it opens, draws at once, plays, and fetches nothing`, async () => {
+    test(`${name}, ${size}: it opens, draws at once, stands until it is played, and fetches nothing`, async () => {
       await withPage(name, { viewport, hasTouch: viewport === NARROW, hash: "" }, async (page) => {
         await ready(page);
-        const { firstFrameMs, playing } = await state(page);
-        assert.ok(playing, "it plays by itself");
+        const { firstFrameMs, playing, elapsed } = await state(page);
+        assert.deepEqual([playing, elapsed], [false, 0], "it plays by itself");
+        await page.locator(".begin").first().click();
+        assert.equal((await state(page)).playing, true);
         assert.ok(firstFrameMs < FIRST_FRAME_MS, `the first frame came after ${firstFrameMs} ms`);
         await page.evaluate(() => window.replay.seek(120));
         const median = await page.evaluate(
@@ -472,7 +474,8 @@ test("within a sandboxed frame of another page it plays", async () => {
   await withPage("frame", { file, hash: "" }, async (page) => {
     await page.waitForFunction(() => frames.length === 1);
     const frame = page.frames()[1];
-    await frame.waitForFunction(() => window.replay?.state().elapsed > 2);
+    await frame.locator(".begin").first().click();
+    await frame.waitForFunction(() => window.replay.state().elapsed > 2);
     assert.equal((await state(frame)).playing, true);
   });
 });
@@ -520,6 +523,25 @@ test("two fingers zoom", async () => {
     const pinched = (await state(page)).views[0].scale;
     assert.ok(near(pinched / scale, 2, 0.1), `${pinched / scale}`);
   });
+});
+
+test("of a run without a host, help and buttons leave out what does nothing", async () => {
+  const [withoutHost, withHost] = [[], []];
+  for (const [name, shown] of [["town", withoutHost], ["one", withHost]]) {
+    await withPage(name, {}, async (page) => {
+      await ready(page);
+      await page.keyboard.press("?");
+      shown.push(...(await page.locator("#keys dd").allTextContents()));
+      const words = await page.locator("#keys p").innerText();
+      assert.equal(words.includes("A click on a curve or a mark goes there"), name === "one");
+      for (const id of ["previous-mark", "next-mark", "previous-decision", "next-decision", "rays"]) {
+        assert.equal(await page.locator(`#${id}`).isVisible(), name === "one", id);
+      }
+    });
+  }
+  const leftOut = withHost.filter((meaning) => !withoutHost.includes(meaning));
+  assert.deepEqual(leftOut, ["previous, next decision", "previous, next mark", "rays: what the host senses"]);
+  assert.ok(withoutHost.includes("play or pause"));
 });
 
 test("a crowd opens as a whole; who is clicked is followed", async () => {
@@ -667,10 +689,36 @@ test("a picture and a film of the view are saved", async () => {
   });
 });
 
-test("who asks for less motion is not played to", async () => {
-  await withPage("one", { hash: "", reducedMotion: "reduce" }, async (page) => {
+test("over the road there is a button to play, until the film is played or another moment gone to", async () => {
+  const begun = {
+    Space: true, // whether it plays then
+    ArrowRight: false,
+    End: false,
+  };
+  for (const [key, plays] of Object.entries(begun)) {
+    await withPage("two", { hash: "" }, async (page) => {
+      await ready(page);
+      const shown = () => page.locator(".begin:visible").count();
+      assert.equal(await shown(), 2); // one over each road
+      for (const other of ["+", "n", "d"]) await page.keyboard.press(other);
+      assert.equal(await shown(), 2);
+      await page.keyboard.press(key);
+      assert.equal((await state(page)).playing, plays, key);
+      assert.equal(await shown(), 0, key);
+      if (plays) await page.keyboard.press(key);
+      assert.equal(await shown(), 0, "it is paused, not at its beginning");
+    });
+  }
+  await withPage("one", { hash: "#t=20" }, async (page) => {
     await ready(page);
-    assert.deepEqual([(await state(page)).playing, (await state(page)).elapsed], [false, 0]);
+    const button = page.getByRole("button", { name: "Play", exact: true });
+    const [over, road] = await Promise.all([button.boundingBox(), page.locator(".stage canvas").boundingBox()]);
+    assert.ok(over.y > road.y + road.height / 2 && over.y + over.height < road.y + road.height, "it hides the host");
+    await page.keyboard.press("Tab");
+    await button.focus();
+    await page.keyboard.press("Space"); // of a button that has the focus, once
+    assert.equal((await state(page)).playing, true);
+    await page.waitForFunction(() => window.replay.state().elapsed > 20.2);
   });
 });
 
@@ -681,6 +729,26 @@ test("dark is dark from the first frame on", async () => {
     const corner = await page.evaluate(() => window.kept.dark[0]);
     for (const shift of [0, 8, 16]) assert.ok(((corner >> shift) & 0xff) < 80);
   });
+});
+
+test("light and dark are as the system is, until the reader chooses", async () => {
+  const colours = {};
+  for (const colorScheme of ["light", "dark"]) {
+    await withPage("one", { colorScheme }, async (page) => {
+      await ready(page);
+      const shown = () =>
+        page.evaluate(() => {
+          const { backgroundColor, color, colorScheme: scheme } = getComputedStyle(document.body);
+          return [backgroundColor, color, scheme];
+        });
+      colours[colorScheme] = await shown();
+      await page.keyboard.press("d");
+      colours[`not ${colorScheme}`] = await shown();
+    });
+  }
+  assert.deepEqual(colours.light, ["rgb(251, 251, 249)", "rgb(29, 37, 41)", "light"]);
+  assert.deepEqual(colours.dark, ["rgb(20, 24, 27)", "rgb(232, 236, 238)", "dark"]);
+  assert.deepEqual([colours["not light"], colours["not dark"]], [colours.dark, colours.light]);
 });
 
 test("names from users' files are text and nothing else", async () => {

@@ -9,7 +9,7 @@ import { beside } from "../../rail_sumo/pictures/replay/road.js";
 import { Camera } from "../../rail_sumo/pictures/replay/camera.js";
 import { clock, ending, outcome, signed, tick } from "../../rail_sumo/pictures/replay/words.js";
 import { clockBase, countUntil, decisionAt, frameAt, hasEnded, letterAt, linkedMoment, momentsOf, neighbour, overtakesOf } from "../../rail_sumo/pictures/replay/timeline.js";
-import { commandOf } from "../../rail_sumo/pictures/replay/controls.js";
+import { commandOf, keysOf } from "../../rail_sumo/pictures/replay/controls.js";
 import { drivenDistance, poseInSpan, poseOf, turned } from "../../rail_sumo/pictures/replay/motion.js";
 import { rangeOf } from "../../rail_sumo/pictures/replay/curves.js";
 import { shadeOf, signalMeaning } from "../../rail_sumo/pictures/replay/colours.js";
@@ -185,6 +185,12 @@ test("axes start at 0, or a little below the lowest value", () => {
 
 test("speeds' shades stay within the scale", () => {
   assert.deepEqual([-1, 0, 30, 99].map((speed) => shadeOf(speed, 30)), [0, 0, 31, 31]);
+});
+
+test("keys are listed where they do something", () => {
+  const all = keysOf({ decisions: true, marks: true, rays: true, recorder: true }).map(([keys]) => keys);
+  const some = keysOf({ decisions: false, marks: 0, rays: false, recorder: true }).map(([keys]) => keys);
+  assert.deepEqual(all.filter((keys) => !some.includes(keys)), [", .", "J K", "L"]);
 });
 
 test("keys: with Ctrl they are the browser's", () => {

@@ -7,9 +7,10 @@ from contextlib import suppress
 from dataclasses import dataclass, field
 from functools import cache
 from pathlib import Path
+from typing import NamedTuple
 
 from rail_sumo import assets, config
-from rail_sumo.errors import InputError
+from rail_sumo.errors import InputError, did_you_mean
 from rail_sumo.highway.names import OURS
 from rail_sumo.highway.network import sumocfg
 from rail_sumo.highway.network.sumo_xml import (
@@ -37,6 +38,11 @@ KNOWN = ADDITIONAL | frozenset({
     "personFlow", "container", "containerFlow", "include", "taz", "interval", "type",
 })  # fmt: skip
 """Elements of which a file of SUMO's has some."""
+
+UNNAMED = frozenset({"calibrator", "person", "personFlow"})
+"""Elements for which SUMO may make vehicles, with ids of its own."""
+UNNAMED_OPTIONS = frozenset({"load-state", "device.fcd-replay.files"})
+"""Options that name files with vehicles which are not read here."""
 
 OUTPUTS = ("file", "output", "dest")
 """Attributes that name a file to be written."""
@@ -145,6 +151,50 @@ def warnings(demand: Demand) -> Iterator[str]:
                 f"demand '{path}' is not in order of departure: '{late[0]}'{more} may enter late or never; sort it, by "
                 f"SUMO's tools/route/sort_routes.py for example"
             )
+
+
+def require_vehicle(demand: Demand, name: str) -> None:
+    """Raise InputError if the demand certainly has no vehicle with this id.
+
+    What may have it: a vehicle or trip of that name, or a flow or a vehicle, if that is multiplied, that it numbers, as
+    `flow.3`. Of a demand for which SUMO may make vehicles with ids of its own, nothing is certain.
+    """
+    ids = [_ids(path, state_of(path)) for path in demand.files]
+    if any(one.are_not_all for one in ids) or not UNNAMED_OPTIONS.isdisjoint(demand.options):
+        return
+    vehicles = frozenset[str]().union(*(one.vehicles for one in ids))
+    flows = frozenset[str]().union(*(one.flows for one in ids))
+    whose, _, number = name.rpartition(".")
+    if name in vehicles or (number.isdecimal() and whose in vehicles | flows):
+        return
+    available = vehicles | {f"{flow}.0" for flow in flows}
+    also = ("added", "replaces")
+    raise InputError(
+        f"the demand has no vehicle '{name}', which traffic.host names{did_you_mean(name, available, also=also)}"
+    )
+
+
+class _Ids(NamedTuple):
+    """Who is on the road by what a file says."""
+
+    vehicles: frozenset[str]
+    flows: frozenset[str]
+    are_not_all: bool
+    """Whether there may be others."""
+
+
+@cache  # every episode asks
+def _ids(path: Path, state: tuple[int, int]) -> _Ids:
+    vehicles: set[str] = set()
+    flows: set[str] = set()
+    are_not_all = False
+    with opened(path) as stream:
+        for _, element in ElementTree.iterparse(stream):
+            are_not_all = are_not_all or element.tag in UNNAMED
+            if element.tag in TRAFFIC_ELEMENTS:
+                (flows if element.tag == "flow" else vehicles).add(element.get("id", ""))
+            element.clear()
+    return _Ids(frozenset(vehicles), frozenset(flows), are_not_all)
 
 
 def _options(given: Iterable[str]) -> Iterator[tuple[str, str]]:

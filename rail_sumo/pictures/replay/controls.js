@@ -2,25 +2,31 @@
 
 import { RATES } from "./timeline.js";
 
+// The keys, what they do, and what the page must have for that.
 const KEYS = [
   ["Space", "play or pause"],
-  [", .", "previous, next decision"],
+  [", .", "previous, next decision", "decisions"],
   ["← →", "one second back, on; with Shift ten"],
-  ["J K", "previous, next mark"],
+  ["J K", "previous, next mark", "marks"],
   ["Home End", "to the start, to the end"],
   ["1 … 7", "speed: 0.25 0.5 1 2 4 8 16"],
   ["F", "follow, or leave the view where it is"],
-  ["L", "rays: what the host senses"],
+  ["L", "rays: what the host senses", "rays"],
   ["N", "names"],
   ["+ −", "zoom in, out"],
   ["0", "show the whole road"],
   ["S", "save the view as a picture"],
-  ["R", "record a film of the view"],
+  ["R", "record a film of the view", "recorder"],
   ["D", "light or dark"],
   ["?", "these keys"],
 ];
 
 const ZOOM = 1.35;
+
+/** The keys that do something, with what they do. `has` tells what the page has, as {decisions: true}. */
+export function keysOf(has) {
+  return KEYS.filter(([, , needed]) => !needed || has[needed]).map(([keys, meaning]) => [keys, meaning]);
+}
 
 /** What a key does, by its name; null where it does nothing. */
 export function commandOf(event) {
@@ -73,11 +79,13 @@ const BUTTONS = {
   help: ["help"],
 };
 
-/** Let buttons and keys act. `act(name, value)` does it. */
-export function listen(act) {
+/** Let buttons and keys act, and show those that do something. `act(name, value)` does it. */
+export function listen(act, has) {
+  for (const element of document.querySelectorAll("[data-needs]")) element.hidden = !has[element.dataset.needs];
   for (const [id, command] of Object.entries(BUTTONS)) {
     document.getElementById(id).addEventListener("click", () => act(...command));
   }
+  for (const button of document.querySelectorAll(".begin")) button.addEventListener("click", () => act("toggle", "playing"));
   const rate = document.getElementById("rate");
   rate.append(...RATES.map((value) => new Option(`${value}×`, value)));
   rate.addEventListener("change", () => act("rate", Number(rate.value)));
@@ -96,7 +104,7 @@ export function listen(act) {
     act(...command);
   });
   const list = document.querySelector("#keys dl");
-  for (const [keys, meaning] of KEYS) {
+  for (const [keys, meaning] of keysOf(has)) {
     const term = document.createElement("dt");
     for (const key of keys.split(" ")) {
       const shown = document.createElement("kbd");

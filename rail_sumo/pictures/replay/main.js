@@ -38,17 +38,24 @@ class Page {
     this.hidden = new Set(); // kinds of marks that are left out
     this.elapsed = 0;
     this.playing = false;
+    this.isUntouched = this.duration > 0; // until it plays or another moment is gone to
     this.rate = 1;
     this.saver = new Saver(this);
     this.link = new Link(() => this.base + this.elapsed);
     const hasHost = films.some((film) => film.driven);
     this.options = { follows: hasHost, rays: true, names: !hasHost, palette: presentPalette(), topMps: topSpeed(films) };
-    this._build(hasHost);
-    listen((name, value) => this.act(name, value));
+    this._build();
+    const has = {
+      decisions: films.some((film) => film.driven?.decisions.length),
+      marks: films.some((film) => film.driven?.marks.length),
+      rays: hasHost,
+      recorder: canRecord(),
+    };
+    listen((name, value) => this.act(name, value), has);
     this._watch();
   }
 
-  _build(hasHost) {
+  _build() {
     const { films, head } = this;
     const app = byId("app");
     app.hidden = false;
@@ -60,14 +67,8 @@ class Page {
     const leftOut = films.map((film) => film.leftOut).filter(Boolean);
     byId("left-out").hidden = !leftOut.length;
     byId("left-out").textContent = [...new Set(leftOut)].join(" ");
-    byId("record").hidden = !canRecord();
-    byId("rays").hidden = !hasHost;
     byId("difference").hidden = films.length < 2;
     this.difference = films.length > 1 ? new Difference(byId("difference"), films) : null;
-    const hasDecisions = films.some((film) => film.driven?.decisions.length);
-    for (const id of ["previous-decision", "next-decision"]) byId(id).hidden = !hasDecisions;
-    const hasMarks = films.some((film) => film.driven?.marks.length);
-    for (const id of ["previous-mark", "next-mark"]) byId(id).hidden = !hasMarks;
     const road = () => new Road(this.ground); // each keeps a picture of its own view
     this.stages = films.map((film, number) => this._stage(film, number, road()));
     this.timeline = new Timeline(byId("track"), byId("filters"), this);
@@ -102,8 +103,6 @@ class Page {
     this._showControls();
     this.draw();
     this.firstFrameMs = performance.now();
-    const isStill = matchMedia("(prefers-reduced-motion: reduce)").matches;
-    if (linked === null && !isStill && this.duration > 0) this.act("toggle", "playing");
   }
 
   /** Fit everything to the page's size. */
@@ -145,9 +144,15 @@ class Page {
   }
 
   seek(elapsed) {
+    if (this.isUntouched) this._touch();
     this.elapsed = this._within(elapsed);
     this.invalidate();
     this.link.follow();
+  }
+
+  _touch() {
+    this.isUntouched = false;
+    this._showControls();
   }
 
   _within(elapsed) {
@@ -157,6 +162,7 @@ class Page {
   _toggle(what) {
     if (what === "playing") {
       this.playing = !this.playing;
+      this.isUntouched = false;
       if (this.playing && this.elapsed >= this.duration) this.elapsed = 0;
       this.before = null;
       if (!this.playing) this.link.follow();
@@ -260,6 +266,7 @@ class Page {
 
   _showControls() {
     byId("app").classList.toggle("playing", this.playing);
+    byId("app").classList.toggle("untouched", this.isUntouched);
     byId("play").setAttribute("aria-label", this.playing ? "Pause (Space)" : "Play (Space)");
     for (const [id, on] of [["follow", this.options.follows], ["rays", this.options.rays], ["names", this.options.names], ["record", this.saver.isRecording]]) {
       byId(id).setAttribute("aria-pressed", String(on));
@@ -297,7 +304,7 @@ class Page {
       if (linked === null) return;
       this.playing = false;
       this.elapsed = this._within(linked - this.base);
-      this._showControls();
+      this._touch();
       this.invalidate();
     });
     new ResizeObserver(() => {
