@@ -188,12 +188,10 @@ def _ids(path: Path, state: tuple[int, int]) -> _Ids:
     vehicles: set[str] = set()
     flows: set[str] = set()
     are_not_all = False
-    with opened(path) as stream:
-        for _, element in ElementTree.iterparse(stream):
-            are_not_all = are_not_all or element.tag in UNNAMED
-            if element.tag in TRAFFIC_ELEMENTS:
-                (flows if element.tag == "flow" else vehicles).add(element.get("id", ""))
-            element.clear()
+    for element in elements(path):
+        are_not_all = are_not_all or element.tag in UNNAMED
+        if element.tag in TRAFFIC_ELEMENTS:
+            (flows if element.tag == "flow" else vehicles).add(element.get("id", ""))
     return _Ids(frozenset(vehicles), frozenset(flows), are_not_all)
 
 
