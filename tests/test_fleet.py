@@ -72,7 +72,7 @@ def test_only_cars_are_driven_in_the_whole_of_the_share(tmp_path):
 @pytest.mark.parametrize("network", ["highway3", "onramp", "arterial"])
 @pytest.mark.parametrize("name", ["rule", "random", "road-rail"])
 def test_a_fleet_of_one_drives_as_the_environment_has_it_to_the_byte(monkeypatch, network, name):
-    world = with_demand(network)
+    world = config_file.changed(with_demand(network), ["traffic.entry_within_s=60"])
     env = HighwayEnv(world)
     env.reset(seed=SEED)
     chosen, entered_s = env.host_name, libsumo.simulation.getTime()

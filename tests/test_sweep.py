@@ -26,6 +26,13 @@ ROUTES = """<routes>
 </routes>"""
 
 
+@pytest.fixture(autouse=True)
+def figures(request, monkeypatch):
+    """Figures take most of a small sweep's time: they are drawn for the tests that ask for them."""
+    if "figures" not in request.node.function.__code__.co_varnames:
+        monkeypatch.setattr(Sweep, "_draw", lambda *_: None)
+
+
 @pytest.fixture
 def demand(tmp_path):
     path = tmp_path / "light.rou.xml"
@@ -211,7 +218,7 @@ def test_a_measure_without_a_value_is_a_dash():
     assert rows[1][4] == "66.0 (+1.0 ± 0.0)"
 
 
-def test_a_key_may_be_swept_over(world, tmp_path):
+def test_a_key_may_be_swept_over(world, tmp_path, figures):
     swept = small(
         world, tmp_path / "out", drivers=("acc",), shares=(0.5,), seeds=1, key="traffic.scale", settings=("0.5", "1.5")
     )
@@ -223,7 +230,7 @@ def test_a_key_may_be_swept_over(world, tmp_path):
     assert (tmp_path / "out" / "figures" / "speed_kmh.svg").exists()
 
 
-def test_without_matplotlib_there_are_tables_and_a_word(monkeypatch, world, tmp_path):
+def test_without_matplotlib_there_are_tables_and_a_word(monkeypatch, world, tmp_path, figures):
     monkeypatch.setattr(sweep, "find_spec", lambda name: None)
     monkeypatch.setattr(plot, "with_bands", None)
     hears = Hears()
