@@ -30,6 +30,31 @@ def test_the_table_of_results_is_that_of_the_cells():
         assert row["seeds"] == int(trainings)
 
 
+def test_the_tables_of_few_trajectories_are_those_of_the_cells():
+    measured = claims.ratios(reproduce.read_cells(CELLS)).set_index(["", "mode", "shown"])
+    whom = {
+        "RAIL, two layers": ("RAIL, two layers", "argmax"),
+        "RAIL, one layer": ("RAIL, one layer", "argmax"),
+        "GAIL, sampled": ("GAIL, two layers", "sampled"),
+        "clone, argmax": ("behaviour cloning, two layers", "argmax"),
+        "clone, sampled": ("behaviour cloning, two layers", "sampled"),
+    }
+    metrics = {
+        "speed": "speed_kmh",
+        "overtakes": "overtakes",
+        "lane changes": "lane_changes",
+        "told apart": "told apart",
+    }
+    text = (ROOT / "docs" / "paper.md").read_text(encoding="utf-8")
+    told = re.findall(r"^\| ([^|;]+); shown \| (.*) \|\n.*\n((?:\| \d+ \|.*\n)+)", text, re.MULTILINE)
+    assert [name for name, *_ in told] == list(metrics)
+    for name, learners, rows in told:
+        for row in rows.splitlines():
+            shown, *figures = row.strip("| ").split(" | ")
+            keys = [(*whom[learner], int(shown)) for learner in learners.split(" | ")]
+            assert figures == [measured.loc[key, metrics[name]] for key in keys], (name, shown)
+
+
 def results():
     text = (ROOT / "docs" / "learners.md").read_text(encoding="utf-8")
     return text.partition("## Results")[2].partition("\n## ")[0]
