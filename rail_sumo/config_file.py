@@ -53,6 +53,11 @@ def of(given: Config | Mapping[str, Any] | str | Path | None) -> Config:
     """
     if isinstance(given, Config):
         return given
+    if given is not None and not isinstance(given, Mapping | str | Path):
+        raise InputError(
+            'a configuration is a Config, nested mappings such as {"episode": {"duration_s": 60}}, or a TOML file; '
+            f"got a {type(given).__name__}"
+        )
     return load(Path(given)) if isinstance(given, str | Path) else validate(dict(given or {}))
 
 

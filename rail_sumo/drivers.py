@@ -105,15 +105,18 @@ class Network(ABC):
 
         Args:
             observation: shape (n_features,), or (n, n_features); see `highway.observation.feature_names`.
-            mask: which meta-actions would be carried out, shape (5,) or (n, 5), as `info["action_mask"]` tells it; all
-                of them where it is None. A driver that was trained without a mask does not heed it.
+            mask: which meta-actions would be carried out, shape (5,) or (n, 5), as `info["action_mask"]` tells it. A
+                driver that was trained without a mask does not heed it, and needs none.
 
         Returns:
             A `MetaAction` as an int, or their array of shape (n,).
 
         Raises:
-            ValueError: observation or mask has another shape, or an observation a value that is not finite.
+            ValueError: observation or mask has another shape, an observation has a value that is not finite, or a
+                driver that heeds a mask is given none, or one in which nothing is open.
         """
+        if mask is None and self.heeds_mask:
+            raise ValueError("this driver heeds what is open: give act() the mask too, as info['action_mask'] tells it")
         observations = np.asarray(observation, dtype=np.float64)
         masks = np.ones((*observations.shape[:-1], N_ACTIONS)) if mask is None else np.asarray(mask)
         if observations.ndim not in (1, 2) or observations.shape[-1] != self.n_features:
@@ -124,6 +127,8 @@ class Network(ABC):
             raise ValueError("observation holds values that are not finite")
         if masks.shape != (*observations.shape[:-1], N_ACTIONS):
             raise ValueError(f"mask must have shape {(*observations.shape[:-1], N_ACTIONS)}; got {masks.shape}")
+        if self.heeds_mask and not masks.any(axis=-1).all():
+            raise ValueError("a mask has nothing open; keep always is")
         if observations.ndim == 1:
             return self.choose(self.outputs(observations, masks.astype(np.bool_).tolist()))
         rows = zip(observations, masks.astype(np.bool_).tolist(), strict=True)
@@ -134,6 +139,11 @@ class Network(ABC):
         outputs = self.outputs(observation, allowed)
         likelihoods = np.exp(outputs - outputs.max())
         return tuple((likelihoods / likelihoods.sum()).tolist())
+
+    @property
+    @abstractmethod
+    def heeds_mask(self) -> bool:
+        """Whether it chooses among what is open."""
 
     @property
     @abstractmethod
@@ -170,6 +180,11 @@ class Expert(Network):
         return int(outputs.argmax())
 
     @property
+    def heeds_mask(self) -> bool:
+        """Always: it was trained with one."""
+        return True
+
+    @property
     def n_features(self) -> int:
         """How many numbers an observation has."""
         return self.layers[0][0].shape[1]
@@ -185,25 +200,30 @@ class Learned(Network):
 
     def __init__(self, parameters: PolicyParameters, seed: int) -> None:
         self._policy = parameters.policy()
-        self._masked = parameters.masked
+        self._is_masked = parameters.masked
         self.senses = parameters.senses
         # A stream of its own, beside the traffic's.
         self._rng = np.random.default_rng([seed, 2]) if parameters.samples else None
 
     def decide(self, observation: Floats, agent: Agent) -> int:
         """Return the most probable action, or a sampled one."""
-        return self.choose(self.outputs(observation, agent.action_masks() if self._masked else ()))
+        return self.choose(self.outputs(observation, agent.action_masks() if self._is_masked else ()))
 
     def outputs(self, observation: Floats, allowed: Sequence[bool]) -> Floats:
         """Return the network's outputs, shape (5,); -inf for what is not allowed, if it is masked."""
         outputs = self._policy.outputs(observation)
-        return np.where(allowed, outputs, -np.inf) if self._masked else outputs
+        return np.where(allowed, outputs, -np.inf) if self._is_masked else outputs
 
     def choose(self, outputs: Floats) -> int:
         """Return the action with the largest output, or one that is drawn by them."""
         if self._rng is not None:
             outputs = outputs + self._rng.gumbel(size=len(outputs))  # the Gumbel-max trick
         return int(outputs.argmax())
+
+    @property
+    def heeds_mask(self) -> bool:
+        """Whether it was trained with one."""
+        return self._is_masked
 
     @property
     def n_features(self) -> int:

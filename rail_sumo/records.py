@@ -1,9 +1,10 @@
 """The records that cross the borders between modules, and the column names of every table."""
 
 import math
+import operator
 from dataclasses import dataclass
 from enum import IntEnum
-from typing import Literal, NamedTuple
+from typing import Any, Literal, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -25,6 +26,19 @@ class MetaAction(IntEnum):
     DECELERATE = 2
     LEFT = 3
     RIGHT = 4
+
+    @classmethod
+    def of(cls, action: Any) -> "MetaAction":
+        """Return the meta-action of a number, of whatever library's whole ones.
+
+        Raises:
+            ValueError: there is none.
+        """
+        try:
+            return cls(operator.index(action))
+        except (TypeError, ValueError):
+            names = ", ".join(f"{one.value} {one.name.lower()}" for one in cls)
+            raise ValueError(f"an action is one whole number ({names}); got {action!r}") from None
 
 
 class Scene(NamedTuple):

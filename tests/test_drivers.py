@@ -250,19 +250,24 @@ def test_a_loaded_driver_acts_as_it_drives_one_observation_or_many(name):
     assert many.dtype == np.int64
     n = driver.n_features
     with pytest.raises(ValueError, match=re.escape(f"must have shape ({n},) or (n, {n}); got ({n - 1},)")):
-        driver.act(observation[:-1])
+        driver.act(observation[:-1], masks[0])
     with pytest.raises(ValueError, match="observation holds values that are not finite"):
-        driver.act(np.full(n, np.nan))
+        driver.act(np.full(n, np.nan), masks[0])
     with pytest.raises(ValueError, match=re.escape("mask must have shape (40, 5); got (5,)")):
         driver.act(np.array(seen), masks[0])
+    with pytest.raises(ValueError, match=re.escape("give act() the mask too, as info['action_mask'] tells it")):
+        driver.act(observation)
+    with pytest.raises(ValueError, match="a mask has nothing open"):
+        driver.act(observation, np.zeros(5))
 
 
 def test_a_driver_that_samples_draws_by_its_seed():
     observations = np.random.default_rng(1).normal(10.0, 30.0, (200, 48))
     one, same, other = (rail_sumo.load_driver("rail", mode="sampled", seed=seed) for seed in (1, 1, 2))
-    drawn = one.act(observations)
-    assert drawn.tolist() == same.act(observations).tolist()
-    assert drawn.tolist() != other.act(observations).tolist()
+    masks = np.ones((200, 5))
+    drawn = one.act(observations, masks)
+    assert drawn.tolist() == same.act(observations, masks).tolist()
+    assert drawn.tolist() != other.act(observations, masks).tolist()
 
 
 def test_who_has_not_learned_is_not_loaded():

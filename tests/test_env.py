@@ -415,9 +415,10 @@ def test_without_a_demand_too_the_clock_begins_when_it_is_told_to(make):
 def test_an_action_that_there_is_not_leaves_the_episode_as_it_was(make):
     env = make(world(episode={"duration_s": 3.0}))
     env.reset(seed=UNSEEN)
-    with pytest.raises(ValueError, match="5 is not a valid MetaAction"):
-        env.step(5)
-    _, _, _, over, _ = [env.step(0) for _ in range(3)][-1]
+    for action in (5, -1, 1.5, "keep", np.array([1])):
+        with pytest.raises(ValueError, match=r"one whole number \(0 keep, .*, 4 right\); got "):
+            env.step(action)
+    _, _, _, over, _ = [env.step(action) for action in (0, np.int64(0), np.array(0))][-1]
     assert over
     assert {len(env.trajectory().observations), len(env.trajectory().decisions)} == {3}
 

@@ -88,6 +88,7 @@ def test_a_child_that_dies_is_told(make):
         ({"trafic": {}}, "configuration: unknown key 'trafic'; did you mean 'traffic'?"),
         ({"network": {"file": "highway55"}}, "network 'highway55' not found; did you mean 'highway5'?"),
         ("nowhere.toml", "cannot read configuration 'nowhere.toml'"),
+        (["episode.duration_s=60"], r"nested mappings such as .*, or a TOML file; got a list"),
     ],
 )
 def test_bad_input_is_one_clear_line(isolated, config, said):

@@ -208,14 +208,14 @@ class HighwayEnv(gymnasium.Env[Floats, np.int64]):
         names of the `episodes` table, and `is_success`: whether it ended without a contact. Its whole course is
         `trajectory`.
         """
-        observation, _ = self.drive(int(action))
+        observation, _ = self.drive(action)
         self._show()
         agent = self.agent
         crashed = agent.end == "collision"
         return observation, agent.earned(), crashed, self.is_over and not crashed, agent.info(self._seed)
 
     @sumo_process.as_input_errors
-    def drive(self, action: int) -> tuple[Floats, int]:
+    def drive(self, action: int | np.int64) -> tuple[Floats, int]:
         """Take one decision and drive until the next falls due; returns the next observation and the steps driven.
 
         Raises:
@@ -224,7 +224,7 @@ class HighwayEnv(gymnasium.Env[Floats, np.int64]):
         """
         simulation, agent = self._under_way(), self.agent
         before, step = agent.n_steps, self.companions.step if self.companions else None
-        agent.decide(MetaAction(action))
+        agent.decide(MetaAction.of(action))
         while True:
             agent.note(simulation.run(agent.command(), step))
             if agent.is_due:

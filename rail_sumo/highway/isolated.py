@@ -112,7 +112,7 @@ class Isolated(gymnasium.Env[Floats, np.int64]):
 
     def step(self, action: int | np.int64) -> tuple[Floats, float, bool, bool, dict[str, Any]]:
         """Take one decision and drive until the next falls due."""
-        return self._child.ask("step", int(action))
+        return self._child.ask("step", MetaAction.of(action))
 
     def render(self) -> NDArray[np.uint8] | None:
         """Return the road around the host, see `HighwayEnv`; a window is the child's own."""

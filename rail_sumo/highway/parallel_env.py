@@ -168,14 +168,14 @@ class HighwayParallelEnv(ParallelEnv[str, Floats, int]):
         """
         simulation, before = self._simulation, list(self.agents)
         if simulation is None or not before:
-            raise RuntimeError("the episode is over; call reset()")
+            raise RuntimeError("no episode is under way, or it is over; call reset()")
         missing = [name for name in before if name not in actions]
         if missing:
             raise ValueError(f"every agent decides, and there is no action for {', '.join(missing)}")
         unknown = [name for name in actions if name not in self.possible_agents]
         if unknown:
             raise ValueError(f"there is no agent {', '.join(map(str, unknown))}, only {self._all}")
-        decisions = {name: MetaAction(int(actions[name])) for name in before}
+        decisions = {name: MetaAction.of(actions[name]) for name in before}
         told = {name: self._over.pop(name) for name in before if name in self._over}
         for name, ride in self._live.items():
             ride.agent.forget_gaps()  # of those that decided before it, some may have claimed one
