@@ -1,3 +1,5 @@
+import os
+import signal
 import subprocess
 import sys
 from importlib.metadata import version
@@ -6,12 +8,13 @@ import numpy as np
 import pandas as pd
 import pytest
 
-from rail_sumo import assets, config, config_file, doctor, expert, rollout, run
+from rail_sumo import assets, config, config_file, doctor, expert, records, rollout, run
 from rail_sumo.cli import progress
 from rail_sumo.errors import InputError
 from rail_sumo.highway.observation import feature_names
 from rail_sumo.policy import PolicyParameters, Shape, Whitening
 from rail_sumo.run_directory import PROGRESS_COLUMNS, Checkpoint, RunDirectory
+from rail_sumo.tables import report
 
 SHORT = ("--set", "episode.duration_s=5.0", "--workers", "1")
 
@@ -276,13 +279,23 @@ def test_interrupted_training_says_how_to_go_on(rail_sumo, monkeypatch, tmp_path
     assert err.splitlines()[-1] == hint
 
 
-def test_interrupted_evaluation_leaves_the_tables_of_what_is_done(rail_sumo, monkeypatch, tmp_path):
+def test_a_drivers_name_is_no_emoji(capsys):
+    episode = {"policy": "sumo:truck", "end_reason": "standstill"} | dict.fromkeys(records.METRICS, 1.0)
+    driven = report.episodes([episode | {"episode": number, "seed": number} for number in range(2)])
+    progress.show(run.Tables(driven, report.summary(driven), pd.DataFrame()), None)
+    said = capsys.readouterr().out
+    assert "sumo:truck: 2 of 2 episodes ended at a standstill" in said
+    assert said.count("sumo:truck") == 2
+
+
+@pytest.mark.parametrize("sent", [signal.SIGINT, signal.SIGTERM])
+def test_interrupted_evaluation_leaves_the_tables_of_what_is_done(rail_sumo, monkeypatch, tmp_path, sent):
     drive, driven = rollout.drive, []
 
     def drive_until(task):
         driven.append(task)
         if len(driven) == 4:
-            raise KeyboardInterrupt
+            os.kill(os.getpid(), sent)
         return drive(task)
 
     monkeypatch.setattr(rollout, "drive", drive_until)

@@ -41,6 +41,22 @@ def below(folder, value):
     return [name.format(folder) for name in value] if isinstance(value, list) else value.format(folder)
 
 
+@pytest.mark.parametrize(
+    ("end", "entry"),
+    [
+        ("7:03:00", (45.0, 90.0)),  # of 180 s a quarter to warm up, the host enters in the half after it
+        ("7:10:00", (60.0, 480.0)),
+        ("9:00:00", None),
+        ("-1", None),  # none
+        ("6:00:00", None),
+    ],
+)
+def test_the_host_enters_well_before_the_end_of_a_configuration(tmp_path, end, entry):
+    keys, _ = sumocfg.read(written(tmp_path, FULL.replace("9:00:00", end)))
+    told = (keys.get("traffic.warm_up_s"), keys.get("traffic.entry_within_s"))
+    assert told == (entry or (None, None))
+
+
 def test_all_holds_but_what_must_be_ours_which_is_told_where_it_matters(tmp_path, capfd):
     keys, told = sumocfg.read(written(tmp_path, FULL))
     assert keys == {key: below(tmp_path, value) for key, value in KEYS.items()}

@@ -2,6 +2,7 @@
 
 # Rollout workers import this package again, and `--help` is to be quick: what is slow to import (torch, pandas, SUMO)
 # is imported by the command that needs it.
+import signal
 import sys
 from importlib.metadata import version
 from typing import Annotated
@@ -19,6 +20,7 @@ __all__ = ["app", "main", "overrides_of"]
 
 def main() -> None:
     """Run the command line. A user's mistake is one line on stderr and exit code 2."""
+    signal.signal(signal.SIGTERM, signal.default_int_handler)  # what a cluster or `timeout` sends is as Ctrl-C
     try:
         app()
     except InputError as error:

@@ -63,7 +63,7 @@ def progress_bars() -> Iterator[_Bars]:
         TimeRemainingColumn(),
         TextColumn("{task.fields[figures]}"),
     )
-    console = Console(stderr=True)
+    console = Console(stderr=True, emoji=False)
     with Progress(*columns, console=console, disable=not console.is_terminal) as progress:
         yield _Bars(progress)
 
@@ -72,7 +72,7 @@ def show(tables: "Tables", out: Path | None) -> None:
     """Print an evaluation's table, which episodes were cut short, and where the whole of it is."""
     from rail_sumo.tables import report
 
-    console = Console() if sys.stdout.isatty() else Console(width=100)
+    console = Console(width=None if sys.stdout.isatty() else 100, emoji=False)  # sumo:truck is a driver's name
     console.print(report.table(tables.summary, width=console.width))
     for line in report.cut_short(tables.episodes):
         console.print(escape(line), soft_wrap=True, highlight=False)

@@ -131,7 +131,7 @@ def sweep(
     if as_json:
         print(tables.differences.to_json(orient="records", indent=2))
         return
-    console = Console(width=None if sys.stdout.isatty() else 120)
+    console = Console(width=None if sys.stdout.isatty() else 120, emoji=False)
     console.print(study.shown(swept, tables, width=console.width))
     print(f"tables, figures and sweep.md in {out}")
 

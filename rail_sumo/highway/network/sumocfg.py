@@ -11,6 +11,7 @@ from pathlib import Path, PureWindowsPath
 from typing import Any
 from urllib.parse import unquote
 
+from rail_sumo.config import Traffic
 from rail_sumo.errors import InputError
 from rail_sumo.highway import sumo_process
 from rail_sumo.highway.network.sumo_xml import UNKNOWN_ENCODING, UNREADABLE, elements, seconds
@@ -61,11 +62,29 @@ def read(path: Path) -> tuple[dict[str, Any], list[str]]:
             keys["traffic.begin_s"] = seconds(begin)
         except ValueError:
             raise InputError(f"'{path}' begins at '{begin}', which is no time") from None
+    keys |= _early_entry(keys.get("traffic.begin_s", 0.0), options.get("end", ""))
     left_out = [option for option in options if is_ours(option, topic_of[option])]
     passed_on = {option: value for option, value in options.items() if option not in left_out}
     if passed_on:
         keys["traffic.options"] = [f"{option}={value}" for option, value in passed_on.items()]
     return keys, [option for option in left_out if topic_of[option] not in UNTOLD_TOPICS]
+
+
+def _early_entry(begin_s: float, end: str) -> dict[str, float]:
+    """Return the keys that have the host enter well before a configuration ends, where it ends soon.
+
+    Later its demand may jam: nobody ever looked.
+    """
+    try:
+        lasts_s = seconds(end) - begin_s
+    except ValueError:
+        return {}
+    usual = Traffic()
+    warm_up_s = min(usual.warm_up_s, lasts_s / 4)
+    enters_within_s = lasts_s - 2 * warm_up_s
+    if not 0.0 < enters_within_s < usual.entry_within_s:  # it has no end, or a late one
+        return {}
+    return {"traffic.warm_up_s": warm_up_s, "traffic.entry_within_s": enters_within_s}
 
 
 def is_ours(option: str, topic: str = "") -> bool:
