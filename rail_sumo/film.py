@@ -12,7 +12,9 @@ from numpy.typing import NDArray
 
 from rail_sumo.records import Floats, MetaAction
 
-Holding = Literal["set speed", "limit", "vehicle ahead", "emergency", "signal", "right of way", "lane end", "SUMO"]
+Holding = Literal[
+    "set speed", "limit", "top speed", "vehicle ahead", "emergency", "signal", "right of way", "lane end", "SUMO"
+]
 """What the host's speed followed: what the driver has set, or what the assistance layer made of it."""
 
 Why = Literal["", "no lane", "line", "gap", "room", "lane ends", "under way"]

@@ -173,6 +173,18 @@ def test_behind_slower_vehicles_the_speed_follows_them():
     assert (below_set > -0.05).mean() > 0.95  # whoever follows drives no faster than it would
 
 
+def test_at_its_vehicles_own_top_speed_the_speed_follows_that(tmp_path):
+    routes = tmp_path / "slow.rou.xml"
+    car = '<vehicle id="v" type="own" depart="5"><route edges="highway"/></vehicle>'
+    routes.write_text(f'<routes><vType id="own" maxSpeed="14"/>{car}</routes>')
+    demand = {"routes": (str(routes),), "warm_up_s": 0.0, "host": "v"}
+    film, trajectory, _ = filmed(on("highway3", traffic=demand, episode={"duration_s": 60.0}), "rule")
+    at_top = np.array([HOLDINGS[k] == "top speed" for k in film.driven.holding])
+    assert at_top.sum() > 300
+    assert trajectory.speed_mps[at_top] == pytest.approx(14.0, abs=0.06)
+    assert (film.driven.set_mps[at_top] > 14.0).all()
+
+
 def test_before_a_red_signal_the_speed_follows_the_signal():
     network = {"file": str(Path(__file__).with_name("two_signals.net.xml"))}
     config = world(network=network, traffic={"vehicles": 0}, episode={"duration_s": 100.0})

@@ -66,6 +66,20 @@ def test_all_of_it_is_plain_json(soon_narrow):
     assert any(text.startswith("the road ends") for text in told["warnings"])
 
 
+@pytest.mark.parametrize(("top_mps", "is_told"), [(14.0, True), (50.0, False)])
+def test_a_host_whose_vehicle_is_slower_than_the_limit_is_told(tmp_path, top_mps, is_told):
+    path = tmp_path / "one.rou.xml"
+    car = '<vehicle id="v" type="own" depart="5"><route edges="highway"/></vehicle>'
+    path.write_text(f'<routes><vType id="own" maxSpeed="{top_mps}"/>{car}</routes>')
+    found = trial.check(
+        world(network={"file": "highway3"}, traffic={"routes": [str(path)], "host": "v", "warm_up_s": 0.0})
+    )
+    told = [
+        text for text in found.warnings if "no faster than 50 km/h (its maxSpeed), and the course allows 80" in text
+    ]
+    assert bool(told) is is_told
+
+
 def test_the_flow_along_the_course_is_the_demands(tmp_path):
     """A vehicle every 5 s, each as fast as the other, is 720 an hour wherever the road is full of them."""
     path = tmp_path / "even.rou.xml"

@@ -132,6 +132,8 @@ class Camera:
         if commanded_mps < meant_mps - SLACK_MPS:
             why = slowed_for(state, adas, meant_mps)
             return waits if why == "stop" else why
+        if now_mps > host.ceiling_mps - SLACK_MPS and set_mps > host.ceiling_mps:
+            return "top speed"
         return "limit" if set_mps >= state.limit_mps else "set speed"
 
     def _mark(self) -> None:

@@ -87,7 +87,13 @@ def check(world: Config, *, seed: int = 0) -> Findings:
     env = HighwayEnv(world, companions=lambda vehicle: lambda observation, agent: MetaAction.KEEP)
     try:
         env.reset(seed=seed)
-        warnings = [*_shortness(env), *road.warnings(env.stretch.road), *demand.warnings(env.demand), *_solitude(env)]
+        warnings = [
+            *_shortness(env),
+            *road.warnings(env.stretch.road),
+            *demand.warnings(env.demand),
+            *_slowness(env),
+            *_solitude(env),
+        ]
         host, enters_s, n_signals = env.host_name, env.scene.time_s, env.n_signals_ahead
         return Findings(
             env.stretch.road,
@@ -119,6 +125,16 @@ def _shortness(env: HighwayEnv) -> Iterator[str]:
         yield (
             f"the road ends {stretch.drivable_m:.0f} m after the host's start, and so will episodes of up to "
             f"{farthest_m:.0f} m; set episode.course_m to {math.floor(stretch.drivable_m)} or less"
+        )
+
+
+def _slowness(env: HighwayEnv) -> Iterator[str]:
+    """Tell where the host's own vehicle cannot drive as fast as the road allows: all drivers may then drive alike."""
+    top_mps, limit_mps = env.agent.host.ceiling_mps, env.agent.host.fastest_mps
+    if top_mps < limit_mps - 0.1:
+        yield (
+            f"the host's own vehicle is no faster than {top_mps * KMH:.0f} km/h (its maxSpeed), and the course allows "
+            f"{limit_mps * KMH:.0f}; where it binds, all drivers drive alike"
         )
 
 

@@ -17,6 +17,7 @@ const REFUSALS = {
 const HOLDINGS = {
   "set speed": "drives at the set speed",
   limit: "keeps to the speed limit",
+  "top speed": "drives as fast as its own vehicle can (maxSpeed)",
   "vehicle ahead": "follows the vehicle ahead",
   emergency: "brakes in an emergency",
   signal: "stops for the signal",
