@@ -43,6 +43,7 @@ def test_the_tables_of_few_trajectories_are_those_of_the_cells():
         "speed": "speed_kmh",
         "overtakes": "overtakes",
         "lane changes": "lane_changes",
+        "lateral penalty": "lateral_reward",
         "told apart": "told apart",
     }
     text = (ROOT / "docs" / "paper.md").read_text(encoding="utf-8")
