@@ -68,7 +68,8 @@ def write(
         "traffic seed": str(traffic),
         "made by": f"rail-sumo {assets.own_version()}",
     }
-    page.write(below, films, out, title=f"{' and '.join(policies)} on {below.name}", about=about, overwrite=overwrite)
+    title = f"{' and '.join(policies)} on {below.name}, episode {episode}"
+    page.write(below, films, out, title=title, about=about, overwrite=overwrite)
     return [trajectory for _, trajectory in shots]
 
 

@@ -248,7 +248,7 @@ def test_the_terminal_shows_every_policy_with_its_ratio_within_100_columns():
     assert named == name  # whole, on however many lines
     assert lines[expert].split() == ["expert", "70.0", "±", "0.0", *equal, *equal, "1.0", "1.0", "1.00", "2"]
     assert not lines[expert + 1].strip()  # of itself it is no ratio
-    assert "means over 2 episodes ± 95 % interval; below, ratios to expert" in " ".join(" ".join(lines).split())
+    assert "means over 2 episodes ± 95 % interval (fewer than 5 tell little); below, ratios to expert" in " ".join(" ".join(lines).split())
 
 
 def test_the_terminal_shows_usual_figures_and_who_drove_within_100_columns():
@@ -307,6 +307,12 @@ def test_the_terminal_counts_the_episodes_with_a_contact():
     lines = printed(report.summary(report.episodes(rule)))
     assert "contacts" in " ".join(lines)
     assert lines[line_of("rule", lines)].split()[-1] == "2"
+
+
+@pytest.mark.parametrize(("n", "is_told"), [(1, False), (2, True), (4, True), (5, False)])
+def test_few_episodes_are_said_to_tell_little(n, is_told):
+    said = " ".join(printed(report.summary(report.episodes(rows("rule", [60.0 + k for k in range(n)])))))
+    assert ("fewer than 5 tell little" in said) is is_told
 
 
 def test_episodes_that_were_cut_short_are_counted_by_policy_and_why():

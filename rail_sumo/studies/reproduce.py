@@ -30,9 +30,6 @@ PAPER = {
 FIGURES = ("rail-2", "rail-1", "gail-2", "bc-2")
 """The curves of Figures 3 and 4, each in the mode it was trained in."""
 
-FEW_SEEDS = 5
-"""With fewer trainings an interval is so wide that it hardly tells anything."""
-
 TABLE_COLUMNS = {
     "system": "string",
     "mode": "string",
@@ -296,8 +293,8 @@ def _notes(table: pd.DataFrame, n_episodes: int) -> list[str]:
     fewest, most = (seeds.min(), seeds.max()) if len(seeds) else (0, 0)
     trainings = f"{fewest}" if fewest == most else f"{fewest} to {most}"
     notes = [_NOTE.format(trainings=trainings, n_episodes=n_episodes)]
-    if 0 < fewest < FEW_SEEDS:
-        notes += ["", f"**Fewer than {FEW_SEEDS} trainings**: the intervals are right but very wide."]
+    if 0 < fewest < report.FEW:
+        notes += ["", f"**Fewer than {report.FEW} trainings**: the intervals are right but very wide."]
     return notes
 
 

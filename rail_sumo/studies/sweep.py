@@ -54,8 +54,6 @@ FOUND_OVER, FOUND_WITHIN_S = 2.0, 1200.0
 """To find the warm-up the traffic is watched for so many times the period that counts, and no less long than this."""
 
 EMISSIONS = "device.emissions.probability"
-FEW_SEEDS = 5
-"""With fewer an interval is so wide that it tells little."""
 
 
 @dataclass(frozen=True)
@@ -375,7 +373,7 @@ def _caption(sweep: Sweep, tables: Tables, where: str) -> str:
     left = (
         f" Up to {undriven} cars of a run's share are left to SUMO, on routes too short for a host." if undriven else ""
     )
-    few = f" Fewer than {FEW_SEEDS} seeds: intervals are very wide." if 1 < sweep.seeds < FEW_SEEDS else ""
+    few = f" Fewer than {report.FEW} seeds: intervals are very wide." if 1 < sweep.seeds < report.FEW else ""
     return (
         f"{seeds}; {sweep.duration_s:g} s each, after {tables.warm_up_s:g} s that do not count. Means of all vehicles; "
         f"{where} the difference from share 0 on the same traffic, ± half its 95 % interval.{few}{left}"

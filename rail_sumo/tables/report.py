@@ -18,6 +18,8 @@ from rail_sumo.tables import statistics
 
 EXPERT = "expert"
 """The policy that ratios refer to unless another is named."""
+FEW = 5
+"""Of fewer episodes, trainings or seeds the intervals are right, but very wide."""
 
 EPISODES, SUMMARY, DECISIONS = "episodes.parquet", "summary.parquet", "decisions.parquet"
 WORLD, ORIGIN = "world.toml", "evaluation.json"
@@ -182,6 +184,8 @@ def _table(summary: pd.DataFrame, told: dict[str, tuple[str, int]], *, has_inter
     n = by_metric["episodes"].max()
     compared = reference in policies and len(policies) > 1
     episodes = f"means over {n} episodes{' ± 95 % interval' * has_intervals}" if n > 1 else "one episode: no interval"
+    if 1 < n < FEW:
+        episodes += f" (fewer than {FEW} tell little)"
     below = f"; below, ratios to {escape(reference)}" if compared else ""
     shown = Table(box=SIMPLE_HEAD, caption=episodes + below)
     shown.add_column("policy", overflow="fold", min_width=NAME_WIDTH)
