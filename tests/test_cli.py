@@ -288,14 +288,22 @@ def test_a_drivers_name_is_no_emoji(capsys):
     assert said.count("sumo:truck") == 2
 
 
-@pytest.mark.parametrize("sent", [signal.SIGINT, signal.SIGTERM])
-def test_interrupted_evaluation_leaves_the_tables_of_what_is_done(rail_sumo, monkeypatch, tmp_path, sent):
+def ctrl_c():
+    raise KeyboardInterrupt  # SIGINT itself is not heard in a process of pytest-xdist's
+
+
+def sigterm():
+    os.kill(os.getpid(), signal.SIGTERM)
+
+
+@pytest.mark.parametrize("stop", [ctrl_c, sigterm])
+def test_interrupted_evaluation_leaves_the_tables_of_what_is_done(rail_sumo, monkeypatch, tmp_path, stop):
     drive, driven = rollout.drive, []
 
     def drive_until(task):
         driven.append(task)
         if len(driven) == 4:
-            os.kill(os.getpid(), sent)
+            stop()
         return drive(task)
 
     monkeypatch.setattr(rollout, "drive", drive_until)

@@ -121,7 +121,7 @@ def test_they_come_one_after_the_other_live_once_and_end_with_their_figures(make
                 assert infos[name].keys() == {"action_mask"}
         living, ended = observations.keys() - over, ended | over
     assert ended == set(env.possible_agents)
-    with pytest.raises(RuntimeError, match="the episode is over; call reset"):
+    with pytest.raises(RuntimeError, match="no episode is under way, or it is over; call reset"):
         env.step({})
     _, infos = env.reset(seed=SEED)
     with pytest.raises(ValueError, match=r"there is no agent host_99, only host_0 to host_\d+"):

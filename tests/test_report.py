@@ -248,7 +248,9 @@ def test_the_terminal_shows_every_policy_with_its_ratio_within_100_columns():
     assert named == name  # whole, on however many lines
     assert lines[expert].split() == ["expert", "70.0", "±", "0.0", *equal, *equal, "1.0", "1.0", "1.00", "2"]
     assert not lines[expert + 1].strip()  # of itself it is no ratio
-    assert "means over 2 episodes ± 95 % interval (fewer than 5 tell little); below, ratios to expert" in " ".join(" ".join(lines).split())
+    assert "means over 2 episodes ± 95 % interval (fewer than 5 tell little); below, ratios to expert" in " ".join(
+        " ".join(lines).split()
+    )
 
 
 def test_the_terminal_shows_usual_figures_and_who_drove_within_100_columns():
