@@ -26,10 +26,14 @@ ROUTES = """<routes>
 </routes>"""
 
 
+@pytest.fixture
+def figures():
+    """For the tests that look at figures: they take most of a small sweep's time, and are not drawn for others."""
+
+
 @pytest.fixture(autouse=True)
-def figures(request, monkeypatch):
-    """Figures take most of a small sweep's time: they are drawn for the tests that ask for them."""
-    if "figures" not in request.node.function.__code__.co_varnames:
+def only_figures_that_are_looked_at(request, monkeypatch):
+    if "figures" not in request.fixturenames:
         monkeypatch.setattr(Sweep, "_draw", lambda *_: None)
 
 

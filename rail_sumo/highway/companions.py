@@ -48,7 +48,7 @@ class Companions:
         self._enter(inserted.read(sorted(window.driven & simulation.on_road())))
 
     def step(self) -> None:
-        """Let them decide for whom it is time to, and everybody drive one step, the host too."""
+        """Take the decisions that are due, then drive one step: the host and everybody else."""
         for ride in self._rides.drive():
             self._contacts_before += ride.contacts
         self._enter(car for car in self._simulation.departed() if car.name in self._window.driven)

@@ -1,4 +1,4 @@
-"""A vehicle where SUMO has inserted it, and what it keeps whoever drives it."""
+"""A vehicle as SUMO has inserted it, and the properties that it keeps under any driver."""
 
 from collections.abc import Iterable
 from dataclasses import dataclass
@@ -13,7 +13,7 @@ CARS = frozenset({"passenger", "private", "taxi", "evehicle", "hov", "vip", "cus
 
 @dataclass(frozen=True, slots=True)
 class Inserted:
-    """A vehicle, where SUMO has inserted it."""
+    """A vehicle as it is when SUMO has inserted it."""
 
     name: str
     vclass: str

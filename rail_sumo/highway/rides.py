@@ -132,9 +132,9 @@ class Rides:
         return ride
 
     def drive(self) -> list[Ride]:
-        """Let everybody decide for whom it is time to, and drive one step; returns those who are driven no longer.
+        """Take the decisions that are due, then drive one step; returns those who are not driven any more.
 
-        Those who have driven as far as they can are SUMO's from this step on; others have left the road in it.
+        Some have driven as far as they can, and SUMO drives them from this step on. Others have left the road in it.
         """
         over = []
         for name, ride in list(self.rides.items()):
