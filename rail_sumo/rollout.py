@@ -18,7 +18,6 @@ from numpy.typing import NDArray
 from rail_sumo import drivers
 from rail_sumo.config import Config
 from rail_sumo.errors import InputError, NotBegun
-from rail_sumo.highway import metrics
 from rail_sumo.highway.camera import Camera
 from rail_sumo.highway.env import HighwayEnv
 from rail_sumo.highway.fleet import Fleet, Instead
@@ -198,7 +197,7 @@ class Observer(Protocol):
         """Work of `total` parts begins, `done` of them already there."""
 
     def advance(self, figures: Mapping[str, float]) -> None:
-        """One more part is done; the figures tell how it went, by the names of the tables' columns."""
+        """One more part is done; figures may tell how it went, by the names of the tables' columns."""
 
     def note(self, text: str) -> None:
         """Something happened that the user should know of."""
@@ -236,7 +235,7 @@ def _drive_all(
     number = number if number == "ray" else max(1, min(number, len(tasks)))
     with workers(number, fresh=any(task.outputs for task in tasks)) as pool:
         for driven in pool.map(how, tasks):
-            observer.advance(metrics.means([driven]) if isinstance(driven, Trajectory) else {})
+            observer.advance({})  # one episode's figures tell little, and nothing of others' episodes
             yield driven
 
 

@@ -1,6 +1,5 @@
 """Train, evaluate, demonstrate: what the command line does, each in one call."""
 
-import itertools
 import json
 import math
 from collections.abc import Iterable, Mapping
@@ -193,7 +192,7 @@ def evaluate(
     for warning in demand.warnings(demand.read(world.traffic)):
         observer.note(warning)
     network = assets.network_name(world.network.file)
-    labels = list(itertools.product(policies, range(episodes)))
+    labels = [(name, episode) for episode in range(episodes) for name in policies]  # interrupted, all have as many
     tasks = [
         Task(
             policies[name],
@@ -218,7 +217,7 @@ def evaluate(
             rows.append({"policy": name, "episode": episode, **told})
     except KeyboardInterrupt:
         if len(rows) > len(undriven):
-            raise Interrupted(_tables(rows, decided, reference), len(labels)) from None
+            raise Interrupted(_tables(rows, decided, list(policies), reference), len(labels)) from None
         raise
     if len(undriven) == len(labels):
         raise InputError(undriven[0][-1])
@@ -226,12 +225,16 @@ def evaluate(
         observer.note(f"{name} did not drive episode {episode}: {why}")
     if fcd:
         _require_whole(fcd)
-    return _tables(rows, decided, reference)
+    return _tables(rows, decided, list(policies), reference)
 
 
-def _tables(rows: list[dict[str, Any]], decided: list[tuple[str, int, dict[str, Any]]], reference: str) -> Tables:
-    table = report.episodes(rows)
-    return Tables(table, report.summary(table, reference), report.decisions(decided))
+def _tables(
+    rows: list[dict[str, Any]], decided: list[tuple[str, int, dict[str, Any]]], policies: list[str], reference: str
+) -> Tables:
+    """Return the tables, one policy after another."""
+    table = report.episodes(sorted(rows, key=lambda row: policies.index(row["policy"])))
+    in_order = sorted(decided, key=lambda of_episode: policies.index(of_episode[0]))
+    return Tables(table, report.summary(table, reference), report.decisions(in_order))
 
 
 def record(

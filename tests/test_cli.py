@@ -307,14 +307,16 @@ def test_interrupted_evaluation_leaves_the_tables_of_what_is_done(rail_sumo, mon
         return drive(task)
 
     monkeypatch.setattr(rollout, "drive", drive_until)
-    arguments = ("eval", "keep", "rule", "--episodes", "2", "--out", "out", *SHORT)
+    arguments = ("eval", "keep", "rule", "--episodes", "3", "--out", "out", *SHORT)
     code, out, err = rail_sumo(*arguments)
-    assert (code, err.splitlines()[-1]) == (130, "rail-sumo: interrupted after 3 of 4 episodes")
+    assert (code, err.splitlines()[-1]) == (130, "rail-sumo: interrupted after 3 of 6 episodes")
     assert "tables in out" in out
     kept = pd.read_csv(tmp_path / "out" / "episodes.csv")
     monkeypatch.setattr(rollout, "drive", drive)
     assert rail_sumo(*arguments, "--overwrite")[0] == 0
-    pd.testing.assert_frame_equal(kept, pd.read_csv(tmp_path / "out" / "episodes.csv").iloc[:3])
+    whole = pd.read_csv(tmp_path / "out" / "episodes.csv")
+    done = [0, 1, 3]  # two episodes of keep and one of rule: neither waits until the other has driven all
+    pd.testing.assert_frame_equal(kept, whole.iloc[done].reset_index(drop=True))
 
 
 def test_networks_are_listed_with_their_length_and_lanes(rail_sumo):
@@ -381,6 +383,17 @@ def test_where_nobody_watches_a_terminal_a_line_tells_how_far_work_is(capsys, mo
         bars.start("eval", 3)
         bars.advance({})
     assert capsys.readouterr().err == ""
+
+
+def test_who_was_told_how_far_work_is_is_told_that_it_is_done(capsys, monkeypatch):
+    with progress.progress_bars() as bars:
+        bars.start("eval", 3)
+        for is_due in (True, False, False):
+            monkeypatch.setattr(progress, "LINE_EVERY_S", 0.0 if is_due else 60.0)
+            bars.advance({})
+        bars.start("record", 1)
+        bars.advance({})
+    assert capsys.readouterr().err.splitlines() == ["rail-sumo: eval: 1 of 3 done", "rail-sumo: eval: 3 of 3 done"]
 
 
 @pytest.mark.parametrize(("is_needed", "code"), [(True, 1), (False, 0)])

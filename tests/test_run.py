@@ -467,8 +467,8 @@ def test_an_episode_that_cannot_be_driven_keeps_its_row_and_does_not_take_the_ot
     assert by_policy.loc["rule", "difference"] == pytest.approx(0.0)  # over the two that both drove
     assert notes.told == [
         "rule did not drive episode 1: no gap",
-        "rule did not drive episode 2: SUMO stopped: no way on",
         "keep did not drive episode 1: no gap",
+        "rule did not drive episode 2: SUMO stopped: no way on",
     ]
     assert report.cut_short(episodes) == [
         "rule: 1 of 4 episodes could not begin (left out of the means); "

@@ -34,6 +34,7 @@ class _Bars:
         self._progress = progress
         self._task = TaskID(0)
         self._told_at = time.monotonic()
+        self._told_of: TaskID | None = None
 
     def start(self, work: str, total: int, done: int = 0) -> None:
         self._task = self._progress.add_task(work, total=total, completed=done, figures="")
@@ -44,9 +45,11 @@ class _Bars:
             with suppress(KeyError):
                 told.append(form.format_map(figures))
         self._progress.update(self._task, advance=1, figures=" ".join(told))
-        if self._progress.disable and time.monotonic() - self._told_at >= LINE_EVERY_S:
-            self._told_at = time.monotonic()
-            task = self._progress.tasks[self._task]
+        task = self._progress.tasks[self._task]
+        is_due = time.monotonic() - self._told_at >= LINE_EVERY_S
+        is_last = task.finished and self._told_of == self._task
+        if self._progress.disable and (is_due or is_last):
+            self._told_at, self._told_of = time.monotonic(), self._task
             self.note(", ".join([f"{task.description}: {task.completed:.0f} of {task.total:.0f} done", *told]))
 
     def note(self, text: str) -> None:
