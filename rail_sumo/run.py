@@ -1,5 +1,6 @@
 """Train, evaluate, demonstrate: what the command line does, each in one call."""
 
+import itertools
 import json
 import math
 from collections.abc import Iterable, Mapping
@@ -186,7 +187,7 @@ def evaluate(
         InputError: fewer than one episode, a network or demand in which none could be driven, or floating-car data that
             cannot be written.
     """
-    require_drivable(world, episodes)
+    require_drivable(world, episodes, policies.values())
     if fcd:
         _check_fcd(fcd, workers)
     for warning in demand.warnings(demand.read(world.traffic)):
@@ -342,12 +343,12 @@ def _require_whole(folder: Path) -> None:
             ) from None
 
 
-def require_drivable(world: Config, episodes: int = 1) -> None:
-    """Raise InputError for what can be known to be wrong before anybody drives."""
+def require_drivable(world: Config, episodes: int = 1, who: Iterable[Who] = ("keep",)) -> None:
+    """Raise InputError for what can be known to be wrong before anybody of those who are to drive does."""
     if episodes < 1:
         raise InputError(f"episodes must be at least 1; got {episodes}")
-    for fixed in varied.one_of_each(world):
-        HighwayEnv(fixed, companions=deciders("keep", fixed, 0))
+    for fixed, by_sumo in itertools.product(varied.one_of_each(world), {drivers.hands_off(one) for one in who}):
+        HighwayEnv(fixed, hands_off=by_sumo, companions=deciders("keep", fixed, 0))
 
 
 def _require_folder(policy: Path) -> None:

@@ -189,3 +189,18 @@ def test_where_sumo_makes_vehicles_with_ids_of_its_own_nobody_is_refused(tmp_pat
 
 def test_with_a_state_that_is_loaded_nobody_is_refused(tmp_path):
     demand.require_vehicle(read([written(tmp_path, NAMED)], options=["load-state=state.xml"]), "c.0")
+
+
+def test_types_may_lie_in_any_file_of_a_demand_and_in_a_distribution(tmp_path):
+    written(tmp_path, '<additional><vType id="van"/></additional>', "van.add.xml")
+    drawn = '<vTypeDistribution id="any"><vType id="bus"/></vTypeDistribution>'
+    own = written(tmp_path, f'<additional><include href="van.add.xml"/>{drawn}</additional>', "types.add.xml")
+    given = read([written(tmp_path, NAMED)], [own])
+    for kind in ("van", "any", "bus"):
+        demand.require_type(given, kind)
+    with pytest.raises(InputError, match=r"'sumo:car' not found.* \(available: any, bus, van\)"):
+        demand.require_type(given, "car")
+
+
+def test_with_a_state_that_is_loaded_no_type_is_refused(tmp_path):
+    demand.require_type(read([written(tmp_path, NAMED)], options=["load-state=state.xml"]), "car")

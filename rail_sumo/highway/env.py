@@ -96,6 +96,8 @@ class HighwayEnv(gymnasium.Env[Floats, np.int64]):
         """Whether the host is a vehicle of the demand."""
         if self.is_one_of_the_demand and not entry.is_drawn(world):
             demand.require_vehicle(self.demand, world.traffic.host)
+        if isinstance(self._hands_off, str):
+            demand.require_type(self.demand, self._hands_off)
         self._net_file = assets.network(world.network.file)
         if not self.is_one_of_the_demand:
             course = road.load(world.network.file, world.network.course, limit_factor=world.network.limit_factor)

@@ -7,12 +7,11 @@ from collections.abc import Callable, Iterable, Mapping
 import libsumo
 
 from rail_sumo import config
-from rail_sumo.errors import InputError, did_you_mean
 from rail_sumo.highway import acc, neighbours
 from rail_sumo.highway.acc import Leader
 from rail_sumo.highway.cut_ins import CutIns
 from rail_sumo.highway.junctions import SUMO_SPEED_MODE, Junctions
-from rail_sumo.highway.names import HOST, OURS
+from rail_sumo.highway.names import HOST
 from rail_sumo.highway.neighbours import Neighbours
 from rail_sumo.highway.network.road import Road
 from rail_sumo.highway.whereabouts import to_lane_end_m, way_of
@@ -29,9 +28,6 @@ UNSURE_MPS = 0.5
 """By how much speeds change within a step, at most."""
 SUMO_CHANGES_LANES = 1621
 """SUMO's default lane-change mode."""
-
-SUMO_TYPE_PREFIX = "DEFAULT_"
-"""What the ids of SUMO's own vehicle types begin with."""
 UNLIMITED = 10.0
 """Speed factor with which SUMO does not hold the host to the road's limits."""
 
@@ -183,9 +179,6 @@ class Host:
 
         Args:
             kind: the vehicle type whose car-following, lane changes, size and mean speed factor it has from now on.
-
-        Raises:
-            InputError: there is no such type.
         """
         vehicle, types = libsumo.vehicle, libsumo.vehicletype
         self._sumo_drives = True
@@ -193,11 +186,6 @@ class Host:
         if kind is None:
             vehicle.setTau(self.name, self._adas.time_gap_s)  # as a vehicle of SUMO's, it has no other time gap
         else:
-            known = [name for name in types.getIDList() if not name.startswith((OURS, SUMO_TYPE_PREFIX))]
-            if not known:
-                raise InputError(f"driver 'sumo:{kind}' is a vehicle of your demand's; name its files with --routes")
-            if kind not in known:
-                raise InputError(f"vehicle type '{kind}' of driver 'sumo:{kind}' not found{did_you_mean(kind, known)}")
             vehicle.setType(self.name, kind)
             kind = vehicle.getTypeID(self.name)  # the one drawn from a distribution
             vehicle.setSpeedFactor(self.name, types.getSpeedFactor(kind))

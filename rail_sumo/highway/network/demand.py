@@ -7,7 +7,6 @@ from contextlib import suppress
 from dataclasses import dataclass, field
 from functools import cache
 from pathlib import Path
-from typing import NamedTuple
 
 from rail_sumo import assets, config
 from rail_sumo.errors import InputError, did_you_mean
@@ -25,6 +24,9 @@ from rail_sumo.highway.network.sumo_xml import (
 TRAFFIC_ELEMENTS = ("vehicle", "flow", "trip")
 """Elements that put somebody on the road."""
 
+TYPES = ("vType", "vTypeDistribution")
+"""Elements that say what vehicles are like."""
+
 ADDITIONAL = frozenset({
     "busStop", "trainStop", "containerStop", "chargingStation", "parkingArea", "rerouter", "variableSpeedSign",
     "calibrator", "vaporizer", "tlLogic", "inductionLoop", "e1Detector", "laneAreaDetector", "e2Detector",
@@ -34,15 +36,15 @@ ADDITIONAL = frozenset({
 """Elements that SUMO passes over in route files, and reads from additional files."""
 
 KNOWN = ADDITIONAL | frozenset({
-    *TRAFFIC_ELEMENTS, "routes", "additional", "vType", "vTypeDistribution", "route", "routeDistribution", "person",
+    *TRAFFIC_ELEMENTS, *TYPES, "routes", "additional", "route", "routeDistribution", "person",
     "personFlow", "container", "containerFlow", "include", "taz", "interval", "type",
 })  # fmt: skip
 """Elements of which a file of SUMO's has some."""
 
 UNNAMED = frozenset({"calibrator", "person", "personFlow"})
 """Elements for which SUMO may make vehicles, with ids of its own."""
-UNNAMED_OPTIONS = frozenset({"load-state", "device.fcd-replay.files"})
-"""Options that name files with vehicles which are not read here."""
+UNREAD_OPTIONS = frozenset({"load-state", "device.fcd-replay.files"})
+"""Options that name files with vehicles and types which are not read here."""
 
 OUTPUTS = ("file", "output", "dest")
 """Attributes that name a file to be written."""
@@ -100,6 +102,13 @@ class _Content:
     """Files that are to be read in its place."""
     outputs: tuple[str, ...]
     """Names of files that it has SUMO write, and of some that it has SUMO read."""
+    vehicles: frozenset[str]
+    """Ids of vehicles and trips."""
+    flows: frozenset[str]
+    types: frozenset[str]
+    """Ids of vehicle types, and of distributions of them."""
+    has_unnamed: bool
+    """Whether SUMO may make vehicles for it with ids of its own."""
 
 
 def read(traffic: config.Traffic) -> Demand:
@@ -159,11 +168,11 @@ def require_vehicle(demand: Demand, name: str) -> None:
     What may have it: a vehicle or trip of that name, or a flow or a vehicle, if that is multiplied, that it numbers, as
     `flow.3`. Of a demand for which SUMO may make vehicles with ids of its own, nothing is certain.
     """
-    ids = [_ids(path, state_of(path)) for path in demand.files]
-    if any(one.are_not_all for one in ids) or not UNNAMED_OPTIONS.isdisjoint(demand.options):
+    contents = [_content(path, state_of(path)) for path in demand.files]
+    if any(one.has_unnamed for one in contents) or not UNREAD_OPTIONS.isdisjoint(demand.options):
         return
-    vehicles = frozenset[str]().union(*(one.vehicles for one in ids))
-    flows = frozenset[str]().union(*(one.flows for one in ids))
+    vehicles = frozenset[str]().union(*(one.vehicles for one in contents))
+    flows = frozenset[str]().union(*(one.flows for one in contents))
     whose, _, number = name.rpartition(".")
     if name in vehicles or (number.isdecimal() and whose in vehicles | flows):
         return
@@ -174,25 +183,17 @@ def require_vehicle(demand: Demand, name: str) -> None:
     )
 
 
-class _Ids(NamedTuple):
-    """Who is on the road by what a file says."""
-
-    vehicles: frozenset[str]
-    flows: frozenset[str]
-    are_not_all: bool
-    """Whether there may be others."""
-
-
-@cache  # every episode asks
-def _ids(path: Path, state: tuple[int, int]) -> _Ids:
-    vehicles: set[str] = set()
-    flows: set[str] = set()
-    are_not_all = False
-    for element in elements(path):
-        are_not_all = are_not_all or element.tag in UNNAMED
-        if element.tag in TRAFFIC_ELEMENTS:
-            (flows if element.tag == "flow" else vehicles).add(element.get("id", ""))
-    return _Ids(frozenset(vehicles), frozenset(flows), are_not_all)
+def require_type(demand: Demand, kind: str) -> None:
+    """Raise InputError if the demand certainly has no vehicle type of this id, as which `sumo:TYPE` is to drive."""
+    if not UNREAD_OPTIONS.isdisjoint(demand.options):
+        return
+    known = frozenset[str]().union(*(_content(path, state_of(path)).types for path in demand.files))
+    if not known:
+        raise InputError(
+            f"driver 'sumo:{kind}' is a vehicle of your demand's, which names no types; name its files with --routes"
+        )
+    if kind not in known:
+        raise InputError(f"vehicle type '{kind}' of driver 'sumo:{kind}' not found{did_you_mean(kind, known)}")
 
 
 def _options(given: Iterable[str]) -> Iterator[tuple[str, str]]:
@@ -224,7 +225,10 @@ def _with_included(path: Path, including: tuple[Path, ...] = ()) -> Iterator[Pat
 @cache  # every episode asks
 def _content(path: Path, state: tuple[int, int]) -> _Content:
     misplaced = reserved = too_dense = root = ""
-    is_known = False
+    is_known = has_unnamed = False
+    vehicles: set[str] = set()
+    flows: set[str] = set()
+    types: set[str] = set()
     out_of_order: list[str] = []
     includes: list[str] = []
     outputs: list[str] = []
@@ -237,6 +241,9 @@ def _content(path: Path, state: tuple[int, int]) -> _Content:
                 reserved = reserved or name
             if element.tag in ADDITIONAL:
                 misplaced = misplaced or element.tag
+            has_unnamed = has_unnamed or element.tag in UNNAMED
+            if element.tag in TYPES:
+                types.add(name)
             if element.tag == "include":
                 includes.append(element.get("href", ""))
             outputs += filter(None, map(element.get, OUTPUTS))
@@ -245,6 +252,7 @@ def _content(path: Path, state: tuple[int, int]) -> _Content:
             if element.tag == "flow" and _rate_per_s(element) > DENSEST_FLOW_PER_S:
                 too_dense = too_dense or name
             if element.tag in TRAFFIC_ELEMENTS:
+                (flows if element.tag == "flow" else vehicles).add(name)
                 departs_s, ends_s = _departures_s(element, otherwise=latest_s)
                 if departs_s < latest_s:
                     out_of_order.append(name)
@@ -263,7 +271,18 @@ def _content(path: Path, state: tuple[int, int]) -> _Content:
             f"its period or its time"
         )
     span_s = (first_s, last_s) if first_s <= last_s else None
-    return _Content(misplaced, reserved, span_s, tuple(out_of_order), tuple(includes), tuple(outputs))
+    return _Content(
+        misplaced=misplaced,
+        reserved=reserved,
+        departures_s=span_s,
+        out_of_order=tuple(out_of_order),
+        includes=tuple(includes),
+        outputs=tuple(outputs),
+        vehicles=frozenset(vehicles),
+        flows=frozenset(flows),
+        types=frozenset(types),
+        has_unnamed=has_unnamed,
+    )
 
 
 def _rate_per_s(flow: ElementTree.Element) -> float:
