@@ -102,6 +102,12 @@ def test_names_may_lead_out_of_the_configurations_folder(tmp_path, monkeypatch):
     assert (keys["network.file"], keys["traffic.routes"]) == ("../there/m.net.xml", ["d.rou.xml"])
 
 
+def test_a_path_of_another_computer_is_told_as_it_stands_in_the_configuration(tmp_path):
+    text = '<configuration><n v="C:\\roads\\m.net.xml"/><r v="d:/demand.rou.xml"/></configuration>'
+    keys, _ = sumocfg.read(written(tmp_path, text))
+    assert (keys["network.file"], keys["traffic.routes"]) == ("C:/roads/m.net.xml", ["d:/demand.rou.xml"])
+
+
 def test_a_network_alone_leaves_the_rest_as_it_is(tmp_path):
     keys, told = sumocfg.read(written(tmp_path, '<configuration><net-file v="my.net.xml"/></configuration>'))
     assert keys == {"network.file": str(tmp_path / "my.net.xml")}

@@ -129,7 +129,10 @@ def _paths(value: str, folder: Path, seen_from: Path) -> str:
     paths: list[Path] = []
     for encoded in filter(None, value.split(",")):
         name = unquote(unquote(encoded)).replace("\\", "/")  # SUMO encodes once more what it writes from elsewhere
-        if not name.startswith("$") and not PureWindowsPath(name).drive:
+        if PureWindowsPath(name).drive:
+            paths.append(Path(name))  # another computer's, to be told as it stands there
+            continue
+        if not name.startswith("$"):
             name = os.path.relpath(seen_from / name, folder.resolve())
         name = os.path.expandvars(name).strip()
         parts = [folder / part for part in name.split()]
