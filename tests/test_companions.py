@@ -276,6 +276,14 @@ def test_nobody_decides_for_them():
         HighwayEnv(among(5))
 
 
+def test_a_driver_in_place_of_its_decisions(make):
+    driver = rollout.driver_of("keep", among(5), SEED)
+    env = make(among(5), companions=lambda vehicle: driver)
+    with pytest.raises(InputError, match=r"; got a Keep: of a driver give its `decide`$"):
+        env.reset(seed=SEED)
+    make(among(5), companions=lambda vehicle: driver.decide).reset(seed=SEED)
+
+
 def test_more_than_there_are():
     with pytest.raises(InputError, match=r"driven 19 is above vehicles 18, of which they are; lower it$"):
         among(19)

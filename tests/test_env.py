@@ -46,9 +46,22 @@ def test_the_last_step_tells_how_the_episode_went(make):
     env = make(world(episode={"duration_s": 3.0}))
     env.reset(seed=UNSEEN)
     told = [env.step(KEEP)[4] for _ in range(3)]
-    assert [set(info) for info in told[:2]] == [{"action_mask"}] * 2
+    assert [set(info) for info in told[:2]] == [{"action_mask", "carried_out"}] * 2
     assert (told[2]["end_reason"], told[2]["duration_s"]) == ("duration", 3.0)
     assert told[2]["distance_m"] == env.trajectory().distance_m
+
+
+def test_every_step_tells_what_was_made_of_its_action(make):
+    env = make(world())
+    _, info = env.reset(seed=UNSEEN)
+    assert "carried_out" not in info
+    said = []
+    for _ in range(30):
+        is_open = info["action_mask"][LEFT]
+        info = env.step(LEFT)[4]
+        assert info["carried_out"] == (LEFT if is_open else KEEP)
+        said.append(info["carried_out"])
+    assert set(said) == {LEFT, KEEP}
 
 
 # Under the tools of others.

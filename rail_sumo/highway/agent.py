@@ -273,8 +273,13 @@ class Agent:
         )
 
     def info(self, seed: int) -> dict[str, Any]:
-        """Return its `action_mask`, and when its episode is over what it came to; see `HighwayEnv.step`."""
+        """Return its `action_mask`, what was `carried_out`, and when it is over what its episode came to.
+
+        See `HighwayEnv.step`.
+        """
         info: dict[str, Any] = {"action_mask": np.array(self.mask, np.int8)}
+        if self.decided is not None:
+            info["carried_out"] = int(self.decided[1])
         if self.end is not None:
             info |= metrics.row(self.trajectory(seed), self._world.adas)
             info["is_success"] = self.end != "collision"

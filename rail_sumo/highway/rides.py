@@ -3,6 +3,7 @@
 from collections.abc import Callable
 
 from rail_sumo.config import Config
+from rail_sumo.errors import InputError
 from rail_sumo.highway import entry
 from rail_sumo.highway.agent import Agent
 from rail_sumo.highway.inserted import Inserted
@@ -108,7 +109,13 @@ class Rides:
 
         Raises:
             CourseError: its route cannot be driven.
+            InputError: what is to decide cannot be called.
         """
+        if decide is not None and not callable(decide):
+            raise InputError(
+                f"what decides for a vehicle takes an observation and the vehicle, and returns a meta-action; got a "
+                f"{type(decide).__name__}: of a driver give its `decide`"
+            )
         stretch = stretch or entry.stretch_of(car, self._world)
         host = self._simulation.lay_course(
             stretch.road, self._world.adas, sees_m=stretch.sees_m, host=car.name, shares_type=True
