@@ -1,6 +1,6 @@
 """Where learned drivers decide otherwise than their expert would, on roads that neither has met.
 
-    python benchmarks/differences.py RUN... [--mode argmax|sampled] [--episodes 32] [--workers 2]
+    python benchmarks/differences.py RUN[:argmax|:sampled]... [--episodes 32] [--workers 2]
 
 At every decision of a learned driver its expert is asked too. Runs are taken together, as trainings of one learner:
 figures are shares of all their decisions. The area under the ROC curve tells how well a fresh classifier tells the
@@ -8,7 +8,6 @@ learner's decisions from those of the expert's own drives (0.5 is not at all); i
 """
 
 import argparse
-from pathlib import Path
 
 import numpy as np
 import pandas as pd
@@ -16,7 +15,6 @@ import pandas as pd
 from rail_sumo import rollout, run
 from rail_sumo.records import MetaAction
 from rail_sumo.rollout import Task, traffic_seed
-from rail_sumo.run_directory import RunDirectory
 from rail_sumo.tables import audit, statistics
 
 TRAFFIC = 10**6 + 2
@@ -63,19 +61,18 @@ def by_situation(made: pd.DataFrame) -> pd.DataFrame:
 
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("runs", nargs="+", type=Path, metavar="RUN")
-    parser.add_argument("--mode", choices=["default", "argmax", "sampled"], default="default")
+    parser.add_argument("runs", nargs="+", metavar="RUN")
     parser.add_argument("--episodes", type=int, default=32)
     parser.add_argument("--workers", type=int, default=2)
     given = parser.parse_args()
-    world = RunDirectory(given.runs[0]).config
+    world = run.world(given.runs)
     expert = run.find_driver("expert", world)
     seeds = [traffic_seed(TRAFFIC, rollout.EVALUATION, episode) for episode in range(given.episodes)]
     made, areas = [], []
     with rollout.workers(given.workers) as pool:
         alone = list(pool.map(rollout.drive, [Task(expert, world, seed) for seed in seeds]))
-        for path in given.runs:
-            learned = run.find_driver(str(path), world, given.mode)
+        for name in given.runs:
+            learned = run.find_driver(name, world)
             driven = pool.map(rollout.drive_advised, [Task(learned, world, seed, adviser=expert) for seed in seeds])
             trajectories, advised = zip(*driven, strict=True)
             made.append(decisions(trajectories, advised))

@@ -24,7 +24,7 @@ from rail_sumo.highway.network import demand
 from rail_sumo.highway.observation import feature_names
 from rail_sumo.highway.simulation import floating_car_data
 from rail_sumo.imitation.demonstrations import Demonstrations
-from rail_sumo.policy import ARGMAX, SAMPLED
+from rail_sumo.policy import ARGMAX, SAMPLED, PolicyParameters
 from rail_sumo.rollout import (
     DEMONSTRATION,
     EVALUATION,
@@ -65,8 +65,8 @@ class Tables(NamedTuple):
         self.decisions.to_parquet(folder / report.DECISIONS, index=False)  # it is long: not as CSV too
 
 
-MODES = ("default", ARGMAX, SAMPLED)
-"""How a learned policy may act; by default as it was trained."""
+MODES = (ARGMAX, SAMPLED)
+"""How a learned policy may act, as `runs/first:sampled`; without a colon as it was trained."""
 
 
 class Interrupted(KeyboardInterrupt):
@@ -86,7 +86,8 @@ def world(policies: Iterable[str], overrides: Iterable[str] = ()) -> Config:
     Raises:
         InputError: a policy is neither, or what `config_file.load` raises.
     """
-    folders = [Path(policy) for policy in policies if not drivers.is_name(policy)]
+    named = [_name_and_mode(policy)[0] for policy in policies]
+    folders = [Path(name) for name in named if not drivers.is_name(name)]
     for folder in folders:
         _require_folder(folder)
     chosen = config_file.load(folders[0] / CONFIG if folders else None, overrides)
@@ -96,17 +97,35 @@ def world(policies: Iterable[str], overrides: Iterable[str] = ()) -> Config:
     return chosen
 
 
-def find_driver(policy: str, world: Config, mode: str = "default") -> Who:
+def find_driver(policy: str, world: Config) -> Who:
     """Return who drives under the name: a driver of ours, an expert's folder, or what a run directory learned.
+
+    What was learned acts as it was trained, or as the name says behind a colon: `rail:sampled`, `runs/first:argmax`.
 
     Args:
         policy: the name.
         world: where it is to drive.
-        mode: how what a run directory learned acts, "argmax" or "sampled"; by default as the run says.
 
     Raises:
-        InputError: it is neither, damaged, or learned on another observation than the world's.
+        InputError: it is neither, damaged, or learned on another observation than the world's; a colon behind who acts
+            in one way.
     """
+    name, mode = _name_and_mode(policy)
+    who = _find(name, world)
+    if not mode:
+        return who
+    if not isinstance(who, PolicyParameters):
+        raise InputError(f"'{name}' acts in one way; leave out ':{mode}'")
+    return who.acting(mode)
+
+
+def _name_and_mode(policy: str) -> tuple[str, str]:
+    """Return a policy's name or folder, and how it is to act; "" for as it was trained."""
+    name, _, mode = policy.rpartition(":")
+    return (name, mode) if mode in MODES and not drivers.is_name(policy) else (policy, "")
+
+
+def _find(policy: str, world: Config) -> Who:
     if policy == report.EXPERT:  # read once here, not by a worker in every episode
         return drivers.load_expert(world)
     if drivers.is_name(policy) and policy not in drivers.SHIPPED:
@@ -115,14 +134,14 @@ def find_driver(policy: str, world: Config, mode: str = "default") -> Who:
     if assets.is_expert(folder):
         return drivers.load_expert(world, folder)
     _require_folder(folder)
-    learned = RunDirectory(folder).policy()
-    return learned if mode == "default" else learned.acting(mode)
+    return RunDirectory(folder).policy()
 
 
 def judges_of(policies: Iterable[str]) -> dict[str, RunDirectory]:
     """Return the runs of those policies that were learned, which may have a judge; see `learners.verdicts`."""
-    learned = [policy for policy in policies if policy in drivers.SHIPPED or not drivers.is_name(policy)]
-    folders = {policy: _folder_of(policy) for policy in learned}
+    named = {policy: _name_and_mode(policy)[0] for policy in policies}
+    learned = {policy: name for policy, name in named.items() if name in drivers.SHIPPED or not drivers.is_name(name)}
+    folders = {policy: _folder_of(name) for policy, name in learned.items()}
     return {policy: RunDirectory(folder) for policy, folder in folders.items() if not assets.is_expert(folder)}
 
 
@@ -130,28 +149,24 @@ def _folder_of(policy: str) -> Path:
     return assets.driver(policy) if policy in drivers.SHIPPED else Path(policy)
 
 
-def load_driver(policy: str, *, mode: str = "default", seed: int = 0) -> drivers.Network:
+def load_driver(policy: str, *, seed: int = 0) -> drivers.Network:
     """Return a learned driver, to drive wherever observations come from.
 
     `driver.act(observation, mask)` returns a meta-action, of several observations one each; `driver.senses` tells how
     it must sense.
 
     Args:
-        policy: a run directory, an expert's folder, or expert, rail, road-expert or road-rail.
-        mode: "argmax" or "sampled"; by default as it was trained.
+        policy: a run directory, an expert's folder, or expert, rail, road-expert or road-rail; how it acts may stand
+            behind a colon, as in `find_driver`.
         seed: of what it draws, if it samples.
 
     Raises:
         InputError: no such driver, or one that decides by more than an observation, such as `rule`.
     """
-    if mode not in MODES:
-        raise InputError(f"mode must be one of {', '.join(MODES)}; got '{mode}'")
-    driver = driver_of(find_driver(policy, Config(), mode), Config(), seed)
+    driver = driver_of(find_driver(policy, Config()), Config(), seed)
     if not isinstance(driver, drivers.Network):
         learned = ("expert", *drivers.SHIPPED)
         raise InputError(f"'{policy}' is not learned; take {', '.join(learned)}, or a folder")
-    if isinstance(driver, drivers.Expert) and mode == SAMPLED:
-        raise InputError(f"'{policy}' is an expert, which always takes its most probable meta-action; leave out mode")
     return driver
 
 
@@ -353,8 +368,10 @@ def require_drivable(world: Config, episodes: int = 1, who: Iterable[Who] = ("ke
 
 def _require_folder(policy: Path) -> None:
     if not policy.exists():
+        either_way = [f"{name}:{mode}" for name, mode in itertools.product(drivers.SHIPPED, MODES)]
         raise InputError(
-            f"policy '{policy}' is neither a run directory nor a driver{did_you_mean(str(policy), drivers.NAMES)}"
+            f"policy '{policy}' is neither a run directory nor a driver"
+            f"{did_you_mean(str(policy), drivers.NAMES, also=either_way)}"
         )
     if not assets.is_expert(policy):
         RunDirectory(policy)

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 import rail_sumo
-from rail_sumo import config, config_file, drivers
+from rail_sumo import config, config_file, drivers, run
 from rail_sumo.config import Config
 from rail_sumo.errors import InputError, ObservationError
 from rail_sumo.highway.env import HighwayEnv
@@ -263,7 +263,7 @@ def test_a_loaded_driver_acts_as_it_drives_one_observation_or_many(name):
 
 def test_a_driver_that_samples_draws_by_its_seed():
     observations = np.random.default_rng(1).normal(10.0, 30.0, (200, 48))
-    one, same, other = (rail_sumo.load_driver("rail", mode="sampled", seed=seed) for seed in (1, 1, 2))
+    one, same, other = (rail_sumo.load_driver("rail:sampled", seed=seed) for seed in (1, 1, 2))
     masks = np.ones((200, 5))
     drawn = one.act(observations, masks)
     assert drawn.tolist() == same.act(observations, masks).tolist()
@@ -276,8 +276,19 @@ def test_who_has_not_learned_is_not_loaded():
             rail_sumo.load_driver(name)
 
 
-def test_how_a_loaded_driver_acts_is_one_of_three_ways_and_an_expert_does_not_sample():
-    with pytest.raises(InputError, match="mode must be one of default, argmax, sampled; got 'greedy'"):
-        rail_sumo.load_driver("rail", mode="greedy")
-    with pytest.raises(InputError, match="'expert' is an expert, which always takes its most probable meta-action"):
-        rail_sumo.load_driver("expert", mode="sampled")
+def test_a_driver_acts_as_its_name_says():
+    world = config.Config()
+    trained, by_argmax, sampled = (run.find_driver(f"rail{mode}", world) for mode in ("", ":argmax", ":sampled"))
+    assert (trained.samples, by_argmax.samples, sampled.samples) == (False, False, True)
+    assert run.find_driver("sumo:sampled", world) == "sumo:sampled"  # as a vehicle type of that name
+
+
+@pytest.mark.parametrize("name", ["expert", "road-expert", "rule"])
+def test_who_acts_in_one_way_is_told_no_other(name):
+    with pytest.raises(InputError, match=f"^'{name}' acts in one way; leave out ':sampled'$"):
+        run.find_driver(f"{name}:sampled", config.Config())
+
+
+def test_a_way_to_act_that_there_is_not():
+    with pytest.raises(InputError, match=r"^policy 'rail:sample' is neither .*; did you mean 'rail:sampled'"):
+        run.find_driver("rail:sample", config.Config())

@@ -632,7 +632,9 @@ def test_how_a_policy_acts_is_kept_in_its_run_and_may_be_changed_for_a_look(smal
             assert (kept.samples, kept.masked) == (samples, masked)
             assert RunDirectory(folder).config.policy.mode == ("sampled" if samples else "argmax")
             for mode in ("argmax", "sampled"):
-                assert run.find_driver(str(folder), small, mode).samples == (mode == "sampled")
+                assert run.find_driver(f"{folder}:{mode}", small).samples == (mode == "sampled")
+                assert set(run.judges_of([f"{folder}:{mode}"])) == {f"{folder}:{mode}"}
+                assert run.world([f"{folder}:{mode}"]).train.learner == learner
 
 
 def test_a_policy_from_before_it_said_how_it_acts_acts_as_it_did(trained, small):

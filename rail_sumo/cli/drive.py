@@ -14,7 +14,6 @@ from rail_sumo import files
 from rail_sumo.cli.apps import app
 from rail_sumo.cli.options import (
     POLICY,
-    Mode,
     NetworkFile,
     Overrides,
     Overwrite,
@@ -57,7 +56,6 @@ def evaluate(
         str | None,
         typer.Option(metavar="POLICY", help="The policy that ratios refer to.", show_default="expert, or the last"),
     ] = None,
-    mode: Mode = "default",
 ) -> None:
     """Drive policies through the same held-out traffic and compare them.
 
@@ -72,7 +70,7 @@ def evaluate(
     n_workers = workers_of(workers)
     _require_each_once(policies)
     world = run.world(policies, overrides_of(network, routes, overrides))
-    who = {policy: run.find_driver(policy, world, mode) for policy in policies}
+    who = {policy: run.find_driver(policy, world) for policy in policies}
 
     def keep(tables: "Tables", whole: Path) -> None:
         tables.save(whole)
@@ -161,7 +159,6 @@ def replay(
     overrides: Overrides = None,
     seed: Seed = 0,
     episode: Annotated[int, typer.Option(min=0, help="Its number in an evaluation with this seed.")] = 0,
-    mode: Mode = "default",
     begin: Annotated[float | None, typer.Option(metavar="SECONDS", help="Of FCD: what is earlier is left out.")] = None,
     end: Annotated[float | None, typer.Option(metavar="SECONDS", help="Of FCD: what is later is left out.")] = None,
     out: Annotated[Path, typer.Option(metavar="FILE", help="The page.")] = Path("replay.html"),
@@ -195,7 +192,7 @@ def replay(
                 raise InputError(f"floating-car data '{one}' do not exist (current folder: {Path.cwd().name})")
         _require_each_once(what)
         world = run.world(what, overrides_of(network, routes, overrides))
-        who = {policy: run.find_driver(policy, world, mode) for policy in what}
+        who = {policy: run.find_driver(policy, world) for policy in what}
         replay.write(who, world, out, seed=seed, episode=episode, judges=run.judges_of(what), overwrite=overwrite)
     print(f"replay in {out}; open it in a browser")
 

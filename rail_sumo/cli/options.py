@@ -19,15 +19,15 @@ Overrides = Annotated[
 NETWORK = "A .net.xml, a .sumocfg with its demand, or a shipped network's name."
 NetworkFile = Annotated[str | None, typer.Option(metavar="FILE", help=NETWORK)]
 Routes = Annotated[list[str] | None, typer.Option(metavar="FILE", help="Your own demand; repeatable.")]
-POLICY = "A run, an expert's folder, or expert, rail, road-expert, road-rail, rule, sumo, sumo:TYPE, keep or random."
+POLICY = (
+    "A run, an expert's folder, or expert, rail, road-expert, road-rail, rule, sumo, sumo:TYPE, keep or random. "
+    "What was learned acts as it was trained, or as RUN:argmax or RUN:sampled."
+)
 SEED = "Everything random follows from it."
 Seed = Annotated[int, typer.Option(min=0, help=SEED)]
 _WORKERS, _CORES = "Processes that drive.", "as many as cores"
 Workers = Annotated[str, typer.Option(metavar="N|ray", help=_WORKERS, show_default=_CORES)]
 LocalWorkers = Annotated[str, typer.Option(metavar="N", help=_WORKERS, show_default=_CORES)]
-Mode = Annotated[
-    Literal["default", "argmax", "sampled"], typer.Option(help="How learned policies act; by default as trained.")
-]
 Overwrite = Annotated[bool, typer.Option("--overwrite", help="Replace what is there.")]
 
 
