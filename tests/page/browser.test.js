@@ -636,6 +636,55 @@ test("of two films all curves are on the page at 1280 x 800", async () => {
   });
 });
 
+/** Note what is written on canvases, and where: {text, left, right, top, bottom} by canvas. */
+const noteTexts = () => {
+  const write = CanvasRenderingContext2D.prototype.fillText;
+  window.written = new Map();
+  CanvasRenderingContext2D.prototype.fillText = function (text, x, y) {
+    const { actualBoundingBoxLeft, actualBoundingBoxRight, actualBoundingBoxAscent, actualBoundingBoxDescent } = this.measureText(text);
+    const box = { text, left: x - actualBoundingBoxLeft, right: x + actualBoundingBoxRight, top: y - actualBoundingBoxAscent, bottom: y + actualBoundingBoxDescent };
+    window.written.set(this.canvas, [...(window.written.get(this.canvas) ?? []), box]);
+    write.call(this, text, x, y);
+  };
+};
+
+for (const viewport of [WIDE, NARROW]) {
+  test(`decisions' labels are whole and apart, and of two films each row says whose it is, ${viewport.width} px`, async () => {
+    for (const name of ["one", "two"]) {
+      await withPage(name, { viewport, init: noteTexts }, async (page) => {
+        await ready(page);
+        const strips = await page.evaluate(() => {
+          window.written.clear();
+          window.replay.curves.resize();
+          return [...document.querySelectorAll(".strip")].map((strip) => window.written.get(strip));
+        });
+        const drivers = strips.map((labels) => labels.map(({ text }) => text).filter((text) => /^[AB]$/.test(text)));
+        assert.deepEqual(drivers, name === "two" ? [["A"], ["B"]] : [[]]);
+        for (const labels of strips) {
+          for (const [k, one] of labels.entries()) {
+            assert.ok(one.left >= 0 && one.top >= 0, `${one.text} is cut off`);
+            for (const other of labels.slice(0, k)) {
+              const isApart = one.top >= other.bottom || one.bottom <= other.top || one.left >= other.right || one.right <= other.left;
+              assert.ok(isApart, `${one.text} lies on ${other.text}`);
+            }
+          }
+        }
+      });
+    }
+  });
+}
+
+test("of two films a curve that only one of them has says whose it is", async () => {
+  await withPage("two", {}, async (page) => {
+    await ready(page);
+    await page.evaluate(() => {
+      for (const decision of window.replay.films[0].driven.decisions) decision.judged = null;
+      window.replay.curves.build();
+    });
+    assert.deepEqual(await page.locator(".curve p").last().locator("span").allTextContents(), ["B score"]);
+  });
+});
+
 test("of a host that SUMO drives nothing is told that only our driver has", async () => {
   await withPage("sumo", { hash: "#t=10" }, async (page) => {
     await ready(page);
