@@ -162,7 +162,9 @@ def _decide(rng, n_frames, step_s, eager):
                 if why:
                     marks.append(Mark(frame, "refused", f"{asked.name.lower()}: {why}"))
             shares = tuple(float(share) for share in wish / wish.sum())
-            decisions.append(Decision(frame, asked, carried_out, why, tuple(is_open), shares, float(rng.beta(4, 3))))
+            judged = float(rng.beta(4, 3))
+            stays = "lowest" if asked is MetaAction.DECELERATE and len(decisions) % 2 else ""
+            decisions.append(Decision(frame, asked, carried_out, why, tuple(is_open), shares, judged, stays))
         now += np.clip(target - now, -1.7 * step_s, 1.7 * step_s)
         lateral[frame] = now
     kinds = [kind for kind in get_args(MarkKind) if kind not in ("lane change", "refused")]
@@ -304,6 +306,7 @@ def _truth(film, frames):
             list(d.open),
             list(d.probabilities),
             d.judged,
+            d.stays,
         ]
         for d in (film.driven.decisions if film.driven else ())
     ]

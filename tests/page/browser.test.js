@@ -204,9 +204,9 @@ for (const name of ["one", "two", "unequal", "sumo", "hostile", "town"]) {
           assert.equal(found.holding, expected.holding);
         });
         assert.equal(shown.decisions.length, film.decisions.length);
-        film.decisions.forEach(([frame, asked, carriedOut, why, open, shares, judged], k) => {
+        film.decisions.forEach(([frame, asked, carriedOut, why, open, shares, judged, stays], k) => {
           const found = shown.decisions[k];
-          assert.deepEqual([found.frame, found.asked, found.carriedOut, found.why, found.open], [frame, asked, carriedOut, why, open]);
+          assert.deepEqual([found.frame, found.asked, found.carriedOut, found.why, found.open, found.stays], [frame, asked, carriedOut, why, open, stays]);
           shares.forEach((share, action) => within(found.probabilities[action], share, quanta.probability, "probability"));
           within(found.judged, judged, quanta.probability, "score");
         });

@@ -146,10 +146,12 @@ test("clock, ticks and links", () => {
 });
 
 test("a decision's outcome in a sentence", () => {
-  const told = (asked, carriedOut, why = "") => outcome({ asked, carriedOut, why });
+  const told = (asked, carriedOut, why = "", stays = "") => outcome({ asked, carriedOut, why, stays });
   assert.equal(told("left", "keep", "gap"), "left: refused, the gap is too short");
   assert.equal(told("right", "right"), "right: carried out");
   assert.equal(told("keep", "keep"), "keep: nothing changes");
+  assert.equal(told("decelerate", "decelerate"), "decelerate: carried out");
+  assert.equal(told("decelerate", "decelerate", "", "lowest"), "decelerate: no effect, the set speed stays at its lowest");
 });
 
 test("signals: SUMO's letters, the last change that has come", () => {

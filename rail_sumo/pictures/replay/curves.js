@@ -185,7 +185,7 @@ export class Curves {
     const canvas = document.createElement("canvas");
     canvas.className = "strip";
     canvas.setAttribute("role", "img");
-    canvas.setAttribute("aria-label", `Decisions of ${film.name}: filled where carried out, hollow where refused`);
+    canvas.setAttribute("aria-label", `Decisions of ${film.name}: filled where carried out, pale where that changes nothing, hollow where refused`);
     this.element.append(canvas);
     const [left, right] = this._gutters();
     this._seeks(canvas, (offset) => ((offset - left) / (canvas.clientWidth - left - right)) * this.page.duration);
@@ -231,7 +231,7 @@ export class Curves {
         context.strokeRect(from + 0.5, top + 0.5, Math.max(wide - 1, 2), ROW_PX - 4);
       } else {
         context.fillStyle = colour;
-        context.globalAlpha = decision.asked === "keep" ? 0.45 : 1;
+        context.globalAlpha = decision.asked === "keep" || decision.stays ? 0.45 : 1;
         context.fillRect(from, top, wide, ROW_PX - 3);
         context.globalAlpha = 1;
       }
