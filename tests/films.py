@@ -19,6 +19,7 @@ from rail_sumo.records import MetaAction
 LANE_M, N_LANES, N_RAYS, RANGE_M = 3.5, 3, 24, 100.0
 EAST_M, NORTH_M = 468_000.0, 5_540_000.0  # far from the origin, as georeferenced networks are
 SIGNAL_M, RAMP_M, END_M = 5_200.0, (1_500.0, 1_900.0), 12_000.0
+ENTERS_S = 180.0  # the simulation's time when an episode begins
 CLOSED_M = (3_000.0, 3_600.0)
 HOSTILE = "</script><img src=x onerror=alert(1)>&\u2028'\""
 
@@ -117,7 +118,7 @@ def drive(seed=0, *, name="rail", seconds=300.0, step_s=0.1, n_vehicles=20, eage
     )
     return Film(
         name=name,
-        start_s=0.0,
+        start_s=ENTERS_S,
         step_s=step_s,
         n_frames=n_frames,
         vehicles=tuple(vehicles),

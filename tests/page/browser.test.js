@@ -488,6 +488,30 @@ test("films of the simulation's time are linked by it", async () => {
   });
 });
 
+test("an episode's clock, marks and decisions count from its start, and the simulation's time is told too", async () => {
+  for (const name of ["one", "two"]) {
+    await withPage(name, { hash: "#t=60.5" }, async (page) => {
+      await ready(page);
+      assert.equal((await state(page)).elapsed, 60.5);
+      assert.match(await page.textContent("#clock"), /^60\.5 s of 300\.0 s$/);
+      const [film] = truth[name].films;
+      const [frame, kind] = film.marks.at(-1);
+      assert.ok(kind && (await page.locator(".mark title").nth(film.marks.length - 1).textContent()).startsWith(`${(frame / 10).toFixed(1)} s `));
+      for (const card of await page.locator(".card").allInnerTexts()) assert.match(card, /^Decision at 60\.0 s/);
+      assert.equal(await page.innerText("#simulation"), "simulation 240.5 s");
+      await page.keyboard.press("ArrowRight");
+      await drawn(page);
+      assert.equal(await page.innerText("#simulation"), "simulation 241.5 s");
+    });
+  }
+  await withPage("town", { hash: "" }, async (page) => {
+    await ready(page);
+    assert.equal(await page.locator("#simulation").isVisible(), false); // the clock shows it
+    await page.keyboard.press("?");
+    assert.doesNotMatch(await page.innerText("#keys p"), /episode/);
+  });
+});
+
 test("drag and wheel move the view; dragging lets go of the host", async () => {
   await withPage("one", { hash: "#t=60" }, async (page) => {
     await ready(page);

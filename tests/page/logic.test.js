@@ -142,6 +142,7 @@ test("clock, ticks and links", () => {
   assert.deepEqual(["#t=12.5", "#x=1&t=3", "#t=", "", "#tt=3", "#t=-2"].map(linkedMoment), [12.5, 3, null, null, null, -2]);
   assert.equal(clockBase([{ startS: 60 }, { startS: 60 }]), 60);
   assert.equal(clockBase([{ startS: 60 }, { startS: 90 }]), 0);
+  assert.equal(clockBase([{ startS: 60, driven: {} }]), 0);
   assert.deepEqual([signed(3.2), signed(-0.2), signed(-4)], ["+3", "±0", "−4"]);
 });
 
