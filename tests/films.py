@@ -10,11 +10,13 @@ from pathlib import Path
 from typing import get_args
 
 import numpy as np
+import pandas as pd
 
 from rail_sumo import assets
 from rail_sumo.film import Decision, Driven, Film, Ground, Holding, Lane, Mark, MarkKind, StopLine, Vehicle
 from rail_sumo.pictures import page, report_page
 from rail_sumo.records import MetaAction
+from rail_sumo.tables.shares import HEADINGS
 
 LANE_M, N_LANES, N_RAYS, RANGE_M = 3.5, 3, 24, 100.0
 EAST_M, NORTH_M = 468_000.0, 5_540_000.0  # far from the origin, as georeferenced networks are
@@ -274,6 +276,18 @@ def town(seed=0, *, n_vehicles=3_000, seconds=600, step_s=1.0, blocks=14, block_
     return Ground(tuple(lanes), tuple(areas), (), "town"), film
 
 
+def sweep(folder):
+    """A sweep's folder: what its report needs, with figures that are as large as drawn ones."""
+    (folder / "figures").mkdir(parents=True, exist_ok=True)
+    svg = '<svg xmlns="http://www.w3.org/2000/svg" width="360pt" height="259pt" viewBox="0 0 360 259"/>'
+    for measure in HEADINGS:
+        (folder / "figures" / f"{measure}.svg").write_text(svg)
+    (folder / "sweep.md").write_text("# here: rule\n\n10 seeds\n\n| driver | share |\n| --- | ---: |\n| rule | 50% |\n")
+    for name in ("traffic", "summary", "differences"):
+        pd.DataFrame({"vehicles": ["all"], "share": [0.5]}).to_parquet(folder / f"{name}.parquet")
+    return folder
+
+
 def _truth(film, frames):
     """What the page should tell of some frames, as plain JSON."""
     shown = []
@@ -354,6 +368,7 @@ def main(folder):
         print(f"{file.name}: {file.stat().st_size / 1e6:.2f} MB, {len(films[0].frame)} rows")
     (folder / "truth.json").write_text(json.dumps(truth), encoding="utf-8")
     report_page.write([assets.driver("road-rail")], folder / "report.html", overwrite=True)
+    report_page.write([sweep(folder / "share")], folder / "sweep.html", overwrite=True)
 
 
 if __name__ == "__main__":

@@ -878,6 +878,23 @@ test("a browser without DecompressionStream, or without JavaScript: one plain se
   });
 });
 
+for (const [viewport, columns] of [[WIDE, 3], [NARROW, 2]]) {
+  test(`a sweep's figures are small, ${columns} in a row, and a click or Enter makes one large and small again, ${viewport.width} px`, async () => {
+    await withPage("sweep", { hash: "", viewport }, async (page) => {
+      const images = page.locator(".figures img");
+      const boxes = await Promise.all([0, 1, 2, 3].map((k) => images.nth(k).boundingBox()));
+      assert.equal(boxes.filter(({ y }) => y === boxes[0].y).length, columns);
+      await images.nth(1).click();
+      const large = await images.nth(1).boundingBox();
+      assert.ok(large.width > 1.9 * boxes[1].width, `${large.width} px`);
+      await page.keyboard.press("Enter"); // it has the focus
+      assert.deepEqual(await images.nth(1).boundingBox(), boxes[1]);
+      const sideways = await page.evaluate(() => document.documentElement.scrollWidth - window.innerWidth);
+      assert.ok(sideways <= 0, "the page is wider than the window");
+    });
+  });
+}
+
 for (const [size, viewport] of Object.entries({ wide: WIDE, narrow: NARROW })) {
   test(`a report's tables are sorted by a click on a heading, by the full value, and turned round by a second, ${size}`, async () => {
     await withPage("report", { hash: "", viewport }, async (page) => {
