@@ -19,9 +19,9 @@ const NARROW = { width: 390, height: 844 };
 // What is shown, when, and how: the keys that are pressed before.
 const SHOTS = [
   { name: "replay_highway", page: "highway", at: 120, viewport: WIDE },
-  { name: "replay_onramp", page: "onramp", at: 445, viewport: WIDE },
+  { name: "replay_onramp", page: "onramp", at: 45, viewport: WIDE },
   { name: "replay_dark", page: "highway", at: 120, viewport: WIDE, colorScheme: "dark" },
-  { name: "replay_two", page: "arterial", at: 533, viewport: WIDE },
+  { name: "replay_two", page: "arterial", at: 126.7, viewport: WIDE },
   { name: "replay_narrow", page: "highway", at: 120, viewport: NARROW },
   { name: "replay_town", page: "town", at: 400, viewport: WIDE },
 ];

@@ -20,6 +20,9 @@ Holding = Literal[
 Why = Literal["", "no lane", "line", "gap", "room", "lane ends", "under way"]
 """Why a lane change was not carried out; empty where it was, or where none was asked for."""
 
+Stays = Literal["", "lowest", "highest", "same"]
+"""Where the set speed stays in spite of a decision to accelerate or decelerate; empty where it changes."""
+
 MarkKind = Literal[
     "lane change", "refused", "reversed", "hard braking", "overtake", "overtaken", "lane end", "collision", "struck"
 ]
@@ -101,6 +104,8 @@ class Decision:
     """Of each meta-action, where the driver has them."""
     judged: float | None = None
     """The judge's score of it, 0 to 1; None without a judge."""
+    stays: Stays = ""
+    """Whether it left the set speed where it was, at an end of its range or elsewhere, so that it had no effect."""
 
 
 @dataclass(frozen=True, slots=True)

@@ -10,15 +10,18 @@ from pathlib import Path
 from typing import get_args
 
 import numpy as np
+import pandas as pd
 
 from rail_sumo import assets
 from rail_sumo.film import Decision, Driven, Film, Ground, Holding, Lane, Mark, MarkKind, StopLine, Vehicle
 from rail_sumo.pictures import page, report_page
 from rail_sumo.records import MetaAction
+from rail_sumo.tables.shares import HEADINGS
 
 LANE_M, N_LANES, N_RAYS, RANGE_M = 3.5, 3, 24, 100.0
 EAST_M, NORTH_M = 468_000.0, 5_540_000.0  # far from the origin, as georeferenced networks are
 SIGNAL_M, RAMP_M, END_M = 5_200.0, (1_500.0, 1_900.0), 12_000.0
+ENTERS_S = 180.0  # the simulation's time when an episode begins
 CLOSED_M = (3_000.0, 3_600.0)
 HOSTILE = "</script><img src=x onerror=alert(1)>&\u2028'\""
 
@@ -117,7 +120,7 @@ def drive(seed=0, *, name="rail", seconds=300.0, step_s=0.1, n_vehicles=20, eage
     )
     return Film(
         name=name,
-        start_s=0.0,
+        start_s=ENTERS_S,
         step_s=step_s,
         n_frames=n_frames,
         vehicles=tuple(vehicles),
@@ -162,7 +165,9 @@ def _decide(rng, n_frames, step_s, eager):
                 if why:
                     marks.append(Mark(frame, "refused", f"{asked.name.lower()}: {why}"))
             shares = tuple(float(share) for share in wish / wish.sum())
-            decisions.append(Decision(frame, asked, carried_out, why, tuple(is_open), shares, float(rng.beta(4, 3))))
+            judged = float(rng.beta(4, 3))
+            stays = "lowest" if asked is MetaAction.DECELERATE and len(decisions) % 2 else ""
+            decisions.append(Decision(frame, asked, carried_out, why, tuple(is_open), shares, judged, stays))
         now += np.clip(target - now, -1.7 * step_s, 1.7 * step_s)
         lateral[frame] = now
     kinds = [kind for kind in get_args(MarkKind) if kind not in ("lane change", "refused")]
@@ -271,6 +276,18 @@ def town(seed=0, *, n_vehicles=3_000, seconds=600, step_s=1.0, blocks=14, block_
     return Ground(tuple(lanes), tuple(areas), (), "town"), film
 
 
+def sweep(folder):
+    """A sweep's folder: what its report needs, with figures that are as large as drawn ones."""
+    (folder / "figures").mkdir(parents=True, exist_ok=True)
+    svg = '<svg xmlns="http://www.w3.org/2000/svg" width="360pt" height="259pt" viewBox="0 0 360 259"/>'
+    for measure in HEADINGS:
+        (folder / "figures" / f"{measure}.svg").write_text(svg)
+    (folder / "sweep.md").write_text("# here: rule\n\n10 seeds\n\n| driver | share |\n| --- | ---: |\n| rule | 50% |\n")
+    for name in ("traffic", "summary", "differences"):
+        pd.DataFrame({"vehicles": ["all"], "share": [0.5]}).to_parquet(folder / f"{name}.parquet")
+    return folder
+
+
 def _truth(film, frames):
     """What the page should tell of some frames, as plain JSON."""
     shown = []
@@ -304,6 +321,7 @@ def _truth(film, frames):
             list(d.open),
             list(d.probabilities),
             d.judged,
+            d.stays,
         ]
         for d in (film.driven.decisions if film.driven else ())
     ]
@@ -350,6 +368,7 @@ def main(folder):
         print(f"{file.name}: {file.stat().st_size / 1e6:.2f} MB, {len(films[0].frame)} rows")
     (folder / "truth.json").write_text(json.dumps(truth), encoding="utf-8")
     report_page.write([assets.driver("road-rail")], folder / "report.html", overwrite=True)
+    report_page.write([sweep(folder / "share")], folder / "sweep.html", overwrite=True)
 
 
 if __name__ == "__main__":

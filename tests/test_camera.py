@@ -243,6 +243,24 @@ def test_why_a_lane_change_was_refused_is_on_the_film():
     assert [mark.frame for mark in refused] == [one.frame for one in film.driven.decisions if one.why == "no lane"]
 
 
+def test_a_decision_that_leaves_the_set_speed_at_an_end_of_its_range_is_told_from_one_that_moves_it():
+    down, up = [MetaAction.DECELERATE] * 12, [MetaAction.ACCELERATE] * 16
+    film, _, _ = filmed(world(traffic={"vehicles": 0}), InTurn(*down, MetaAction.KEEP, *up))
+    told = [one.stays for one in film.driven.decisions]
+    set_mps, limit_mps = film.driven.set_mps, film.driven.limit_mps
+    for one, stays in zip(film.driven.decisions, told, strict=True):
+        before, after = set_mps[one.frame], set_mps[one.frame + 1]
+        is_speed = one.asked in (MetaAction.ACCELERATE, MetaAction.DECELERATE)
+        assert (stays != "") == (is_speed and before == after)
+        if stays:
+            share_of_limit = {"lowest": 0.5, "highest": 1.0}[stays]
+            assert after == pytest.approx(share_of_limit * limit_mps[one.frame], abs=1e-3)
+    n_up = len(down) + 1
+    assert (told[0], told[len(down) - 1]) == ("", "lowest")
+    assert (told[n_up + 1], told[n_up + len(up) - 1]) == ("", "highest")
+    assert all(told[len(down)] == stays == "" for stays in told[n_up + len(up) :])  # to keep is meant to change nothing
+
+
 def test_a_learned_driver_tells_how_probable_each_decision_was():
     film, _, _ = filmed(on("highway5"), "expert")
     for one in film.driven.decisions:

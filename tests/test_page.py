@@ -13,7 +13,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from rail_sumo.errors import InputError
-from rail_sumo.film import Film, Ground, Holding, Lane, MarkKind, Vehicle, Why
+from rail_sumo.film import Film, Ground, Holding, Lane, MarkKind, Stays, Vehicle, Why
 from rail_sumo.pictures import page
 from rail_sumo.pictures.page import QUANTA
 from rail_sumo.records import EndReason, MetaAction
@@ -156,8 +156,9 @@ def test_what_the_driver_saw_and_decided_is_packed_to_the_quantum():
     np.testing.assert_array_equal(np.cumsum(streams["holding"]), driven.holding)
     assert len(header["driven"]["decisions"]) == len(driven.decisions) > 10
     for packed, decision in zip(header["driven"]["decisions"], driven.decisions, strict=True):
-        frame, asked, carried_out, why, is_open, shares, judged = packed
+        frame, asked, carried_out, why, is_open, shares, judged, stays = packed
         assert (frame, asked, carried_out, why) == (decision.frame, decision.asked, decision.carried_out, decision.why)
+        assert stays == decision.stays
         assert tuple(map(bool, is_open)) == decision.open
         np.testing.assert_allclose(np.array(shares) * 1e-4, decision.probabilities, atol=0.51e-4)
         assert judged * 1e-4 == pytest.approx(decision.judged, abs=0.51e-4)
@@ -289,6 +290,7 @@ def test_what_the_driver_saw_fits_the_film_or_is_refused():
         "unknown kind": {"marks": (replace(good.driven.marks[0], kind="nap"),)},
         "ended for an unknown reason": {"end_reason": "boredom"},
         "with an unknown reason": {"decisions": (replace(good.driven.decisions[0], why="mood"),)},
+        "at an unknown place": {"decisions": (replace(good.driven.decisions[0], stays="put"),)},
     }
     for told, change in bad.items():
         with pytest.raises(ValueError, match=told):
@@ -329,6 +331,7 @@ def test_modules_are_joined_in_the_order_of_what_they_import():
         ("ENDS", get_args(EndReason)),
         ("HOLDINGS", get_args(Holding)),
         ("REFUSALS", set(get_args(Why)) - {""}),
+        ("STAYS", set(get_args(Stays)) - {""}),
         ("MARKS", get_args(MarkKind)),
         ("ACTION_LABELS", [action.name.lower() for action in MetaAction]),
     ],

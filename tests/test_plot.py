@@ -7,6 +7,7 @@ from rail_sumo.errors import InputError
 from rail_sumo.pictures import plot
 from rail_sumo.policy import PolicyParameters, Shape, Whitening
 from rail_sumo.run_directory import PROGRESS_COLUMNS, Checkpoint, RunDirectory
+from rail_sumo.tables.shares import HEADINGS
 
 N_FEATURES = 48
 
@@ -98,3 +99,13 @@ def test_what_cannot_be_written_is_refused_in_one_line(run, tmp_path):
     with pytest.raises(InputError, match=r"exists; choose another, or replace it with --overwrite"):
         plot.save(figure, tmp_path / "there.png")
     assert (tmp_path / "there.png").read_text() == "mine"
+
+
+@pytest.mark.parametrize("what", HEADINGS.values())
+def test_what_is_measured_is_written_whole(what):
+    figure = plot.with_bands({"rule": np.array([[0.0, 1.0, 0.9, 1.1], [1.0, 2.0, 1.9, 2.1]])}, "share", what)
+    figure.draw_without_rendering()
+    written = figure.axes[0].yaxis.label.get_window_extent()
+    assert figure.bbox.y0 <= written.y0
+    assert written.y1 <= figure.bbox.y1
+    assert figure.bbox.x0 <= written.x0

@@ -1,6 +1,8 @@
 import html
 import json
 import re
+import shutil
+from pathlib import Path
 
 import numpy as np
 import pandas as pd
@@ -52,11 +54,42 @@ def test_the_page_holds_every_mean_interval_and_ratio_of_the_summary(evaluation,
         assert float(mean[0]) == by_policy.loc["expert", "mean"]
         assert float(other[0]) == by_policy.loc["<b>&random", "mean"]
         low, high = by_policy.loc["expert", ["low", "high"]]
-        assert (f"{low:.4g} to {high:.4g}" in mean[1]) == np.isfinite(low)
+        assert (f"{low:.4g} to {high:.4g}" in mean[1]) == (low < high)
+        assert ("± 0, all equal" in mean[1]) == (low == high)
         if np.isfinite(by_policy.loc["<b>&random", "ratio"]):
             assert float(ratio[0]) == by_policy.loc["<b>&random", "ratio"]
     assert html.escape("rail-sumo eval expert '<b>&random'") in page
     assert "<b>" not in page.replace("<body>", "")
+
+
+def test_an_interval_without_width_is_told_as_such_and_a_narrow_one_has_two_ends(evaluation, tmp_path):
+    _, tables = evaluation
+    row = {name: tables.episodes[name].iloc[0] for name in tables.episodes} | {"policy": "rule", "overtakes": 211}
+    rows = [row | {"episode": k, "distance_m": 8200.125 + 0.001 * k} for k in range(3)]
+    episodes = report.episodes(rows)
+    report.write(tmp_path / "mine", episodes=episodes, summary=report.summary(episodes))
+    report_page.write([tmp_path / "mine"], tmp_path / "page.html")
+    page = (tmp_path / "page.html").read_text()
+    told = {row[0][0]: row[1] for row in rows_of(page, "Evaluation")}
+    assert told["overtakes"] == ("211.0", "211<small>± 0, all equal</small>")
+    assert told["distance_m"][1] == "8200<small>8200.12 to 8200.13</small>"  # 8200.126 ± 0.002
+    assert not re.search(r"<small>(\S+) to \1</small>", page)
+
+
+def test_the_heading_says_what_each_folder_is(evaluation, tmp_path, monkeypatch):
+    folder, _ = evaluation
+    report_page.write([folder, assets.driver("road-rail")], tmp_path / "two.html")
+    page = (tmp_path / "two.html").read_text()
+    told = "Report on mine (evaluation) and road-rail (run)"
+    assert f"<title>{told}</title>" in page
+    assert f"<h1>{told}</h1>" in page
+    assert re.findall("<h2>(.*?)</h2>", page) == ["mine (evaluation)", "road-rail (run)", "Configuration"]
+    shutil.copytree(folder, tmp_path / "mine")
+    monkeypatch.chdir(tmp_path / "mine")
+    for folders, names in (([Path()], ["mine"]), ([Path(), folder], [".", str(folder)])):
+        report_page.write(folders, tmp_path / "page.html", overwrite=True)
+        headings = re.findall("<h2>(.*?)</h2>", (tmp_path / "page.html").read_text())
+        assert headings == [*(f"{name} (evaluation)" for name in names), "Configuration"]
 
 
 def test_of_contacts_the_page_tells_how_many_episodes_had_one_with_the_interval_of_their_share(evaluation, tmp_path):
@@ -105,7 +138,8 @@ def test_a_sweep_and_a_study_show_their_tables_and_figures(tmp_path):
     (sweep / "figures").mkdir(parents=True)
     study.mkdir()
     svg = '<svg xmlns="http://www.w3.org/2000/svg"/>'
-    (sweep / "figures" / "flow_vehph.svg").write_text(svg)
+    for measure in ("co2_g_per_vehkm", "flow_vehph"):
+        (sweep / "figures" / f"{measure}.svg").write_text(svg)
     (study / "figure_speed.svg").write_text(svg)
     pd.DataFrame({"share": [0.5]}).to_parquet(sweep / "traffic.parquet")
     (sweep / "sweep.md").write_text("# mine\n\ncaption\n\n| who | flow |\n| --- | ---: |\n| a 50 % | 1,234 ± 5 |\n")
@@ -120,8 +154,10 @@ def test_a_sweep_and_a_study_show_their_tables_and_figures(tmp_path):
     assert rows_of(page, "All vehicles") == [[("a 50 %", "a 50 %"), ("1,234 ± 5", "1,234 ± 5")]]
     assert 'data-value="3.25"' in page  # the difference of all vehicles, ...
     assert "77.75" not in page  # ... and not that of those driven
-    assert HEADINGS["flow_vehph"] in page
-    assert page.count("<img") == 2
+    assert "<caption>mine. caption</caption>" in page
+    [of_sweep, of_study] = re.findall(r'<div class="figures">(.*?)</div>', page)
+    assert re.findall(r'alt="(.*?)"', of_sweep) == [HEADINGS["flow_vehph"], HEADINGS["co2_g_per_vehkm"]]
+    assert re.findall(r'alt="(.*?)"', of_study) == ["speed"]
     assert [row[1][0] for row in rows_of(page, "Table 1")] == ["0.99"]
     assert 'data-value="2.0"' in page  # the training's mean
 

@@ -10,7 +10,7 @@ import pandas as pd
 import pytest
 from rich.console import Console
 
-from rail_sumo import cli, config_file
+from rail_sumo import assets, cli, config_file
 from rail_sumo.errors import InputError
 from rail_sumo.pictures import plot
 from rail_sumo.studies import sweep
@@ -353,3 +353,18 @@ def test_on_the_command_line(monkeypatch, capsys, demand, tmp_path):
         assert (code, out) == (2, "")
         assert told in error
         assert error.count("\n") == 1
+
+
+def test_the_page_names_what_was_given_as_the_road(monkeypatch, demand, tmp_path):
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / "my.net.xml").write_bytes(assets.network("highway3").read_bytes())
+    files = f'<net-file value="my.net.xml"/><route-files value="{demand.name}"/>'
+    (tmp_path / "mine.sumocfg").write_text(f"<configuration>{files}</configuration>")
+    few = ["--driver", "acc", "--seeds", "1", "--duration", "10", "--warm-up", "20", "--workers", "1"]
+    for network, routes in (("mine.sumocfg", []), ("highway3", ["--routes", demand.name])):
+        words = ["sweep", "share", "0.5", *few, "--network", network, *routes, "--out", f"of {network}"]
+        monkeypatch.setattr("sys.argv", ["rail-sumo", *words])
+        with pytest.raises(SystemExit) as end:
+            cli.main()
+        assert end.value.code == 0
+        assert (tmp_path / f"of {network}" / "sweep.md").read_text().startswith(f"# {network}: acc\n")

@@ -121,6 +121,7 @@ def sweep(
         warm_up_s=_warm_up_s(warm_up),
         workers=n_workers,
         command=typed(),
+        road=network or "",
     )
     try:
         with progress_bars() as bars:

@@ -7,7 +7,7 @@ from typing import get_args
 
 import numpy as np
 
-from rail_sumo.film import Decision, Driven, Film, Ground, Holding, Mark, MarkKind, Vehicle
+from rail_sumo.film import Decision, Driven, Film, Ground, Holding, Mark, MarkKind, Stays, Vehicle
 from rail_sumo.highway import hard_braking
 from rail_sumo.highway.adas import LEFT, slowed_for
 from rail_sumo.highway.env import HighwayEnv
@@ -23,6 +23,7 @@ TOO_CLOSE_S, TOO_CLOSE_M = 2.0, 5.0
 
 HOLDINGS: tuple[Holding, ...] = get_args(Holding)
 SIDEWAYS = (MetaAction.LEFT, MetaAction.RIGHT)
+SPEEDS = (MetaAction.ACCELERATE, MetaAction.DECELERATE)
 
 
 class Camera:
@@ -70,9 +71,14 @@ class Camera:
         self._asked = MetaAction(action)
         probabilities = tuple(self._probabilities(agent.observation, is_open))
         counts = agent.overtakes, agent.overtaken, agent.refused_decisions
+        limit_mps = agent.state.limit_mps
+        before_mps = agent.adas.set_mps(limit_mps)
         observation, _ = self._env.drive(action)
         assert agent.decided is not None  # just now
-        self._decisions.append(Decision(frame, *agent.decided, agent.adas.why, tuple(is_open), probabilities))
+        stays: Stays = self._stays(before_mps, limit_mps) if self._asked in SPEEDS else ""
+        self._decisions.append(
+            Decision(frame, *agent.decided, agent.adas.why, tuple(is_open), probabilities, stays=stays)
+        )
         if agent.refused_decisions > counts[2]:
             self._marks.append(Mark(frame, "refused", agent.adas.why))
         passed: tuple[tuple[MarkKind, int], ...] = (
@@ -83,6 +89,15 @@ class Camera:
             if number:
                 self._marks.append(Mark(self._now, kind, str(number) if number > 1 else ""))
         return observation
+
+    def _stays(self, before_mps: float, limit_mps: float) -> Stays:
+        """Return where the set speed stayed, if the last decision left it where it was, by the limit at that time."""
+        adas, set_mps = self._env.world.adas, self._agent.adas.set_mps(limit_mps)
+        if set_mps != before_mps:
+            return ""
+        if set_mps >= min(adas.clipped_mps(math.inf, limit_mps), limit_mps):
+            return "highest"
+        return "lowest" if set_mps <= adas.clipped_mps(-math.inf, limit_mps) else "same"
 
     def _shoot(self, simulation: Simulation) -> None:
         agent = self._agent

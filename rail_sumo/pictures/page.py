@@ -18,10 +18,10 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from rail_sumo.files import check_file, whole_file
-from rail_sumo.film import Driven, Film, Ground, Holding, MarkKind, Why
+from rail_sumo.film import Driven, Film, Ground, Holding, MarkKind, Stays, Why
 from rail_sumo.records import EndReason, Floats, MetaAction
 
-FORMAT = 1
+FORMAT = 2
 """Of what is packed; the page refuses another."""
 
 QUANTA = {
@@ -254,6 +254,7 @@ def _driven_header(driven: Driven) -> dict[str, Any]:
                 [int(is_open) for is_open in decision.open],
                 [_quantum(share, "probability") for share in decision.probabilities],
                 None if decision.judged is None else _quantum(decision.judged, "probability"),
+                decision.stays,
             ]
             for decision in driven.decisions
         ],
@@ -299,6 +300,8 @@ def _check_driven(name: str, driven: Driven, film: Film) -> None:
         raise ValueError(f"film '{name}': a decision or mark outside the film")
     if not {decision.why for decision in driven.decisions} <= set(get_args(Why)):
         raise ValueError(f"film '{name}': a decision with an unknown reason")
+    if not {decision.stays for decision in driven.decisions} <= set(get_args(Stays)):
+        raise ValueError(f"film '{name}': the set speed stays at an unknown place")
     if not {mark.kind for mark in driven.marks} <= set(get_args(MarkKind)):
         raise ValueError(f"film '{name}': a mark of an unknown kind")
     if driven.end_reason not in ("", *get_args(EndReason)):

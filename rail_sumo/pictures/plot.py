@@ -2,6 +2,7 @@
 
 import itertools
 import re
+import textwrap
 from collections.abc import Mapping, Sequence
 from importlib.util import find_spec
 from pathlib import Path
@@ -123,7 +124,7 @@ def with_bands(curves: Mapping[str, Floats], across: str, what: str, *, columns:
         axes.plot(where, mean, style, marker=marker, color=colour, label=name)
         axes.fill_between(where, low, high, color=colour, alpha=0.15, linewidth=0.0)
     axes.set_xlabel(across)
-    axes.set_ylabel(what)
+    axes.set_ylabel(textwrap.fill(what, 40))  # or it is cut off at the picture's edge
     axes.grid(alpha=0.3)
     axes.spines[["top", "right"]].set_visible(False)
     figure.legend(loc="outside upper center", ncols=columns, frameon=False)

@@ -30,8 +30,8 @@ _PARTS = Path(__file__).with_name("report")
 
 CELLS, TRAFFIC, DIFFERENCES = "cells.parquet", "traffic.parquet", "differences.parquet"
 TABLE1, SWEEP = "table1.csv", "sweep.md"
-KINDS = (CONFIG, EPISODES, CELLS, TRAFFIC)
-"""A folder is known by one of these."""
+KINDS = {CONFIG: "run", EPISODES: "evaluation", CELLS: "study", TRAFFIC: "sweep"}
+"""What a folder is, by the first of these files that it has."""
 
 POINTS = {
     "speed_kmh": "speed, km/h",
@@ -61,15 +61,13 @@ def write(folders: Sequence[Path], out: Path, *, overwrite: bool = False) -> Non
     """
     plot.require_matplotlib()
     check_file(out, overwrite=overwrite)
-    for folder in folders:
-        _require_known(folder)
-    sections = [(folder.name or str(folder), "\n".join(_about(folder))) for folder in folders]
+    titles = _titles(folders)
+    sections = [(title, "\n".join(_about(folder))) for title, folder in zip(titles, folders, strict=True)]
     settings = _settings(folders)
     if settings:
         sections.append(("Configuration", settings))
-    title = " and ".join(title for title, _ in sections[: len(folders)])
     page = Template((_PARTS / "page.html").read_text(encoding="utf-8")).substitute(
-        title=html.escape(title),
+        title=html.escape(f"Report on {' and '.join(titles)}"),
         contents=" ".join(f'<a href="#part{k}">{html.escape(name)}</a>' for k, (name, _) in enumerate(sections)),
         sections="\n".join(
             f'<section id="part{k}"><h2>{html.escape(name)}</h2>\n{body}</section>'
@@ -77,20 +75,31 @@ def write(folders: Sequence[Path], out: Path, *, overwrite: bool = False) -> Non
         ),
         made_by=f"rail-sumo {assets.own_version()}",
         style=(_PARTS / "style.css").read_text(encoding="utf-8"),
-        script=(_PARTS / "sort.js").read_text(encoding="utf-8"),
+        script="\n".join((_PARTS / name).read_text(encoding="utf-8") for name in ("sort.js", "enlarge.js")),
     )
     with whole_file(out) as partial:
         partial.write_text(page, encoding="utf-8")
 
 
-def _require_known(folder: Path) -> None:
+def _titles(folders: Sequence[Path]) -> list[str]:
+    """Return each folder's name, or its path where another has that name, and its kind: "judged (evaluation)"."""
+    names = [folder.resolve().name for folder in folders]
+    return [
+        f"{name if names.count(name) == 1 else folder} ({_kind(folder)})"
+        for name, folder in zip(names, folders, strict=True)
+    ]
+
+
+def _kind(folder: Path) -> str:
     if not folder.is_dir():
         raise InputError(f"'{folder}' is no folder; name one that train, eval, sweep or reproduce has written")
-    if not any((folder / name).is_file() for name in KINDS):
+    kind = next((kind for file, kind in KINDS.items() if (folder / file).is_file()), None)
+    if kind is None:
         raise InputError(
             f"'{folder}' is no run, evaluation, sweep or study: it has none of {', '.join(KINDS)}; name a folder that "
             f"train, eval, sweep or reproduce has written"
         )
+    return kind
 
 
 def _about(folder: Path) -> Iterator[str]:
@@ -241,7 +250,7 @@ def _where(changes: pd.DataFrame, decisions: pd.DataFrame) -> "Figure":
 def _study(folder: Path) -> Iterator[str]:
     if (folder / TABLE1).is_file():
         yield "<h3>Table 1</h3>" + _table(_read(folder / TABLE1))
-    yield from _figures(folder, "figure_*.svg")
+    yield _figures(folder, "figure_*.svg")
     cells = _read(folder / CELLS)
     by = [name for name in ("system", "trajectories", "seed") if name in cells]
     means = cells.groupby(by, sort=False)[["speed_kmh", "overtakes", "lane_changes", "refused_decisions"]].mean()
@@ -252,25 +261,28 @@ def _study(folder: Path) -> Iterator[str]:
 def _sweep(folder: Path) -> Iterator[str]:
     differences = _read(folder / DIFFERENCES)
     if (folder / SWEEP).is_file():
-        yield "<h3>All vehicles</h3>" + _table(_of_markdown((folder / SWEEP).read_text(encoding="utf-8")))
-    yield from _figures(folder / "figures", "*.svg")
+        yield "<h3>All vehicles</h3>" + _table(*_of_markdown((folder / SWEEP).read_text(encoding="utf-8")))
+    yield _figures(folder / "figures", "*.svg")
     of_all = differences[differences["vehicles"] == "all"].drop(columns="vehicles")
     caption = "Differences from the same runs without driven cars, of all vehicles, with 95 % intervals."
     yield "<details><summary>All differences</summary>" + _table(of_all, caption) + "</details>"
     yield "<details><summary>Means of every arm</summary>" + _table(_read(folder / SUMMARY)) + "</details>"
 
 
-def _of_markdown(text: str) -> pd.DataFrame:
-    """Return the first table of a Markdown text."""
+def _of_markdown(text: str) -> tuple[pd.DataFrame, str]:
+    """Return the table of a Markdown page, and what the page says of it: its heading and first paragraph."""
+    heading, _, told, *_ = text.splitlines()
     rows = [line.strip().strip("|").split("|") for line in text.splitlines() if line.startswith("|")]
     heads, _, *body = [[cell.strip() for cell in row] for row in rows]
-    return pd.DataFrame(body, columns=heads)
+    return pd.DataFrame(body, columns=heads), f"{heading.removeprefix('# ')}. {told}"
 
 
-def _figures(folder: Path, pattern: str) -> Iterator[str]:
-    for file in sorted(folder.glob(pattern)):
-        name = file.stem.removeprefix("figure_")
-        yield _image(file.read_bytes(), HEADINGS.get(name, name.replace("_", " ")))
+def _figures(folder: Path, pattern: str) -> str:
+    """Return a folder's figures as a grid of small ones, known measures first and in their order."""
+    files = {file.stem.removeprefix("figure_"): file for file in sorted(folder.glob(pattern))}
+    names = [name for name in HEADINGS if name in files] + [name for name in files if name not in HEADINGS]
+    images = (_image(files[name].read_bytes(), HEADINGS.get(name, name.replace("_", " "))) for name in names)
+    return f'<div class="figures">{"".join(images)}</div>'
 
 
 def _settings(folders: Sequence[Path]) -> str:
@@ -312,8 +324,7 @@ def _table(table: pd.DataFrame, caption: str = "", *, is_sortable: bool = True) 
 
 def _cell(value: Any) -> str:
     if isinstance(value, _Interval):
-        within = "" if math.isnan(value.low) else f"<small>{value.low:.4g} to {value.high:.4g}</small>"
-        return _cell(value.value).replace("</td>", f"{within}</td>")
+        return _cell(value.value).replace("</td>", f"{_within(value.low, value.high)}</td>")
     if isinstance(value, _Share):
         if not value.episodes:
             return "<td></td>"
@@ -324,6 +335,16 @@ def _cell(value: Any) -> str:
         return "<td></td>" if math.isnan(value) else f'<td data-value="{value!r}">{value:.4g}</td>'
     text = html.escape(str(value))
     return f"<td>{text}</td>" if isinstance(value, int) else f'<td class="words">{text}</td>'
+
+
+def _within(low: float, high: float) -> str:
+    """Return a mean's interval: its ends with as many digits, four at least, as tell them apart."""
+    if math.isnan(low):
+        return ""
+    if low == high:
+        return "<small>± 0, all equal</small>"
+    digits = next(n for n in range(4, 18) if f"{low:.{n}g}" != f"{high:.{n}g}")
+    return f"<small>{low:.{digits}g} to {high:.{digits}g}</small>"
 
 
 def _picture(figure: "Figure", caption: str, title: str = "") -> str:

@@ -79,6 +79,8 @@ class Sweep:
     observer: Observer = SILENT
     command: str = ""
     """What was typed; it is kept beside the tables."""
+    road: str = ""
+    """What `sweep.md` calls the road, such as the `.sumocfg` that the configuration is of; else its network's file."""
 
     def drive(self) -> "Tables":
         """Bring every run to its end; write the tables, `sweep.md` and a figure for each measure into `out`.
@@ -345,7 +347,7 @@ def markdown(sweep: Sweep, tables: Tables) -> str:
     headings = ["driver", *setting, "share", *(told.heading for told in TOLD.values())]
     rows = [[driver, *([value] if setting else []), *cells] for driver, value, *cells in _rows_of(tables)]
     lines = [
-        f"# {sweep.config.network.file}: {', '.join(sweep.drivers)}",
+        f"# {sweep.road or sweep.config.network.file}: {', '.join(sweep.drivers)}",
         "",
         _caption(sweep, tables, "in brackets"),
         "",

@@ -204,9 +204,9 @@ for (const name of ["one", "two", "unequal", "sumo", "hostile", "town"]) {
           assert.equal(found.holding, expected.holding);
         });
         assert.equal(shown.decisions.length, film.decisions.length);
-        film.decisions.forEach(([frame, asked, carriedOut, why, open, shares, judged], k) => {
+        film.decisions.forEach(([frame, asked, carriedOut, why, open, shares, judged, stays], k) => {
           const found = shown.decisions[k];
-          assert.deepEqual([found.frame, found.asked, found.carriedOut, found.why, found.open], [frame, asked, carriedOut, why, open]);
+          assert.deepEqual([found.frame, found.asked, found.carriedOut, found.why, found.open, found.stays], [frame, asked, carriedOut, why, open, stays]);
           shares.forEach((share, action) => within(found.probabilities[action], share, quanta.probability, "probability"));
           within(found.judged, judged, quanta.probability, "score");
         });
@@ -488,6 +488,30 @@ test("films of the simulation's time are linked by it", async () => {
   });
 });
 
+test("an episode's clock, marks and decisions count from its start, and the simulation's time is told too", async () => {
+  for (const name of ["one", "two"]) {
+    await withPage(name, { hash: "#t=60.5" }, async (page) => {
+      await ready(page);
+      assert.equal((await state(page)).elapsed, 60.5);
+      assert.match(await page.textContent("#clock"), /^60\.5 s of 300\.0 s$/);
+      const [film] = truth[name].films;
+      const [frame, kind] = film.marks.at(-1);
+      assert.ok(kind && (await page.locator(".mark title").nth(film.marks.length - 1).textContent()).startsWith(`${(frame / 10).toFixed(1)} s `));
+      for (const card of await page.locator(".card").allInnerTexts()) assert.match(card, /^Decision at 60\.0 s/);
+      assert.equal(await page.innerText("#simulation"), "simulation 240.5 s");
+      await page.keyboard.press("ArrowRight");
+      await drawn(page);
+      assert.equal(await page.innerText("#simulation"), "simulation 241.5 s");
+    });
+  }
+  await withPage("town", { hash: "" }, async (page) => {
+    await ready(page);
+    assert.equal(await page.locator("#simulation").isVisible(), false); // the clock shows it
+    await page.keyboard.press("?");
+    assert.doesNotMatch(await page.innerText("#keys p"), /episode/);
+  });
+});
+
 test("drag and wheel move the view; dragging lets go of the host", async () => {
   await withPage("one", { hash: "#t=60" }, async (page) => {
     await ready(page);
@@ -633,6 +657,55 @@ test("of two films all curves are on the page at 1280 x 800", async () => {
     assert.match(await page.locator(".curve p").last().textContent(), /^judge’s score/);
     assert.ok(below <= 0, `the last curve ends ${below} px below the window`);
     assert.ok((await page.locator(".view").first().boundingBox()).height >= 160);
+  });
+});
+
+/** Note what is written on canvases, and where: {text, left, right, top, bottom} by canvas. */
+const noteTexts = () => {
+  const write = CanvasRenderingContext2D.prototype.fillText;
+  window.written = new Map();
+  CanvasRenderingContext2D.prototype.fillText = function (text, x, y) {
+    const { actualBoundingBoxLeft, actualBoundingBoxRight, actualBoundingBoxAscent, actualBoundingBoxDescent } = this.measureText(text);
+    const box = { text, left: x - actualBoundingBoxLeft, right: x + actualBoundingBoxRight, top: y - actualBoundingBoxAscent, bottom: y + actualBoundingBoxDescent };
+    window.written.set(this.canvas, [...(window.written.get(this.canvas) ?? []), box]);
+    write.call(this, text, x, y);
+  };
+};
+
+for (const viewport of [WIDE, NARROW]) {
+  test(`decisions' labels are whole and apart, and of two films each row says whose it is, ${viewport.width} px`, async () => {
+    for (const name of ["one", "two"]) {
+      await withPage(name, { viewport, init: noteTexts }, async (page) => {
+        await ready(page);
+        const strips = await page.evaluate(() => {
+          window.written.clear();
+          window.replay.curves.resize();
+          return [...document.querySelectorAll(".strip")].map((strip) => window.written.get(strip));
+        });
+        const drivers = strips.map((labels) => labels.map(({ text }) => text).filter((text) => /^[AB]$/.test(text)));
+        assert.deepEqual(drivers, name === "two" ? [["A"], ["B"]] : [[]]);
+        for (const labels of strips) {
+          for (const [k, one] of labels.entries()) {
+            assert.ok(one.left >= 0 && one.top >= 0, `${one.text} is cut off`);
+            for (const other of labels.slice(0, k)) {
+              const isApart = one.top >= other.bottom || one.bottom <= other.top || one.left >= other.right || one.right <= other.left;
+              assert.ok(isApart, `${one.text} lies on ${other.text}`);
+            }
+          }
+        }
+      });
+    }
+  });
+}
+
+test("of two films a curve that only one of them has says whose it is", async () => {
+  await withPage("two", {}, async (page) => {
+    await ready(page);
+    await page.evaluate(() => {
+      for (const decision of window.replay.films[0].driven.decisions) decision.judged = null;
+      window.replay.curves.build();
+    });
+    assert.deepEqual(await page.locator(".curve p").last().locator("span").allTextContents(), ["B score"]);
   });
 });
 
@@ -804,6 +877,23 @@ test("a browser without DecompressionStream, or without JavaScript: one plain se
     assert.match(await page.locator("body").innerText(), /^This page draws a drive with JavaScript, which is switched off here\./);
   });
 });
+
+for (const [viewport, columns] of [[WIDE, 3], [NARROW, 2]]) {
+  test(`a sweep's figures are small, ${columns} in a row, and a click or Enter makes one large and small again, ${viewport.width} px`, async () => {
+    await withPage("sweep", { hash: "", viewport }, async (page) => {
+      const images = page.locator(".figures img");
+      const boxes = await Promise.all([0, 1, 2, 3].map((k) => images.nth(k).boundingBox()));
+      assert.equal(boxes.filter(({ y }) => y === boxes[0].y).length, columns);
+      await images.nth(1).click();
+      const large = await images.nth(1).boundingBox();
+      assert.ok(large.width > 1.9 * boxes[1].width, `${large.width} px`);
+      await page.keyboard.press("Enter"); // it has the focus
+      assert.deepEqual(await images.nth(1).boundingBox(), boxes[1]);
+      const sideways = await page.evaluate(() => document.documentElement.scrollWidth - window.innerWidth);
+      assert.ok(sideways <= 0, "the page is wider than the window");
+    });
+  });
+}
 
 for (const [size, viewport] of Object.entries({ wide: WIDE, narrow: NARROW })) {
   test(`a report's tables are sorted by a click on a heading, by the full value, and turned round by a second, ${size}`, async () => {

@@ -142,14 +142,17 @@ test("clock, ticks and links", () => {
   assert.deepEqual(["#t=12.5", "#x=1&t=3", "#t=", "", "#tt=3", "#t=-2"].map(linkedMoment), [12.5, 3, null, null, null, -2]);
   assert.equal(clockBase([{ startS: 60 }, { startS: 60 }]), 60);
   assert.equal(clockBase([{ startS: 60 }, { startS: 90 }]), 0);
+  assert.equal(clockBase([{ startS: 60, driven: {} }]), 0);
   assert.deepEqual([signed(3.2), signed(-0.2), signed(-4)], ["+3", "±0", "−4"]);
 });
 
 test("a decision's outcome in a sentence", () => {
-  const told = (asked, carriedOut, why = "") => outcome({ asked, carriedOut, why });
+  const told = (asked, carriedOut, why = "", stays = "") => outcome({ asked, carriedOut, why, stays });
   assert.equal(told("left", "keep", "gap"), "left: refused, the gap is too short");
   assert.equal(told("right", "right"), "right: carried out");
   assert.equal(told("keep", "keep"), "keep: nothing changes");
+  assert.equal(told("decelerate", "decelerate"), "decelerate: carried out");
+  assert.equal(told("decelerate", "decelerate", "", "lowest"), "decelerate: no effect, the set speed stays at its lowest");
 });
 
 test("signals: SUMO's letters, the last change that has come", () => {

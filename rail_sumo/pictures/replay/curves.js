@@ -7,8 +7,8 @@ import { forEachPresent } from "./decode.js";
 import { speedsOf } from "./motion.js";
 
 const ROWS = ["left", "accelerate", "keep", "decelerate", "right"]; // from above
-const [ROW_PX, LOW_ROW_PX] = [9, 8]; // the lower where two films share the page, so that all curves fit below them
-const [PLOT_PX, LOW_PLOT_PX, LOW_SPEED_PX, AXIS_PX] = [68, 46, 56, 22];
+const ROW_PX = 11; // labels of 9 px, one below the other
+const [PLOT_PX, LOW_PLOT_PX, LOW_SPEED_PX, AXIS_PX] = [68, 46, 56, 22]; // low where two films share the page: all fit below them
 const [APART_PX, LOW_APART_PX] = [22, 15]; // an axis's numbers, at least
 const TICKS_S = [0.1, 0.2, 0.5, 1, 2, 5, 10, 20, 30, 60, 120, 300, 600, 1200, 1800, 3600, 7200, 14400, 43200, 86400];
 const STEPPED = "stepped";
@@ -171,7 +171,7 @@ export class Curves {
   _legend(panel) {
     const legend = document.createElement("p");
     legend.append(panel.title);
-    for (const { label, colour, dash } of panel.series.length > 1 ? panel.series : []) {
+    for (const { label, colour, dash } of panel.series.length > 1 || this.page.films.length > 1 ? panel.series : []) {
       const entry = document.createElement("span");
       const svg = svgElement("svg", { viewBox: "0 0 18 6", "aria-hidden": "true" }, entry);
       svgElement("path", { d: "M0 3H18", stroke: `var(${colour})`, "stroke-dasharray": (dash ?? []).join(" ") }, svg);
@@ -185,7 +185,7 @@ export class Curves {
     const canvas = document.createElement("canvas");
     canvas.className = "strip";
     canvas.setAttribute("role", "img");
-    canvas.setAttribute("aria-label", `Decisions of ${film.name}: filled where carried out, hollow where refused`);
+    canvas.setAttribute("aria-label", `Decisions of ${film.name}: filled where carried out, pale where that changes nothing, hollow where refused`);
     this.element.append(canvas);
     const [left, right] = this._gutters();
     this._seeks(canvas, (offset) => ((offset - left) / (canvas.clientWidth - left - right)) * this.page.duration);
@@ -195,38 +195,44 @@ export class Curves {
   _drawStrip({ canvas, film }, width) {
     const ratio = window.devicePixelRatio || 1;
     const [left, right] = this._gutters();
-    const rowPx = this.page.films.length > 1 ? LOW_ROW_PX : ROW_PX;
-    const height = ROWS.length * rowPx + 4;
+    const height = ROWS.length * ROW_PX + 4;
     [canvas.width, canvas.height] = [Math.round(width * ratio), Math.round(height * ratio)];
     canvas.style.height = `${height}px`;
     const context = canvas.getContext("2d");
     context.setTransform(ratio, 0, 0, ratio, 0, 0);
-    context.font = "9px system-ui, sans-serif";
-    context.textAlign = "right";
     context.textBaseline = "middle";
     const unit = (width - left - right) / Math.max(this.page.duration, 1e-3);
+    const number = this.page.films.indexOf(film);
+    const [colour, refused] = [colourOf(number ? "--second" : "--first"), colourOf("--mark-refused")];
+    if (this.page.films.length > 1) {
+      context.fillStyle = colour;
+      context.textAlign = "left";
+      context.font = "bold 12px system-ui, sans-serif";
+      context.fillText("AB"[number], 5, height / 2);
+    }
+    context.font = "9px system-ui, sans-serif";
+    context.textAlign = "right";
     ROWS.forEach((action, row) => {
-      const top = 2 + row * rowPx;
+      const top = 2 + row * ROW_PX;
       context.fillStyle = colourOf("--soft");
-      context.fillText(ACTION_LABELS[action], left - 8, top + rowPx / 2);
+      context.fillText(ACTION_LABELS[action], left - 8, top + ROW_PX / 2);
       context.fillStyle = colourOf("--hair");
-      context.fillRect(left, top + rowPx / 2, width - left - right, 0.5);
+      context.fillRect(left, top + ROW_PX / 2, width - left - right, 0.5);
     });
     const { decisions } = film.driven;
-    const [colour, refused] = [colourOf(this.page.films.indexOf(film) ? "--second" : "--first"), colourOf("--mark-refused")];
     decisions.forEach((decision, k) => {
       const from = left + decision.frame * film.stepS * unit;
       const until = left + (decisions[k + 1]?.frame ?? film.nFrames - 1) * film.stepS * unit;
       const wide = Math.max(Math.min(until - from - 0.6, 14), 1.6);
-      const top = 2 + ROWS.indexOf(decision.asked) * rowPx + 1.5;
+      const top = 2 + ROWS.indexOf(decision.asked) * ROW_PX + 1.5;
       if (decision.why) {
         context.strokeStyle = refused;
         context.lineWidth = 1;
-        context.strokeRect(from + 0.5, top + 0.5, Math.max(wide - 1, 2), rowPx - 4);
+        context.strokeRect(from + 0.5, top + 0.5, Math.max(wide - 1, 2), ROW_PX - 4);
       } else {
         context.fillStyle = colour;
-        context.globalAlpha = decision.asked === "keep" ? 0.45 : 1;
-        context.fillRect(from, top, wide, rowPx - 3);
+        context.globalAlpha = decision.asked === "keep" || decision.stays ? 0.45 : 1;
+        context.fillRect(from, top, wide, ROW_PX - 3);
         context.globalAlpha = 1;
       }
     });

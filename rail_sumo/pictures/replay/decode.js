@@ -1,6 +1,6 @@
 // From what page.py packed to typed arrays. The counterpart of rail_sumo/pictures/page.py: see there for the format.
 
-export const FORMAT = 1;
+export const FORMAT = 2;
 const FRAMES_IN_BUCKET = 64;
 
 /** Why a film cannot be shown, as the page says it. */
@@ -167,7 +167,7 @@ function drivenOf(header, stream, head) {
     limitMps: scaled(summed(stream("limit"), [0]), quanta.speed_mps),
     gapM: withGaps("gap", quanta.gap_m),
     holding: Array.from(summed(stream("holding"), [0]), (index) => holdings[index]),
-    decisions: driven.decisions.map(([frame, asked, carriedOut, why, open, probabilities, judged]) => ({
+    decisions: driven.decisions.map(([frame, asked, carriedOut, why, open, probabilities, judged, stays]) => ({
       frame,
       asked: actions[asked],
       carriedOut: actions[carriedOut],
@@ -175,6 +175,7 @@ function drivenOf(header, stream, head) {
       open: open.map(Boolean),
       probabilities: probabilities.map((share) => share * quanta.probability),
       judged: judged === null ? null : judged * quanta.probability,
+      stays,
     })),
     endReason: driven.end_reason,
     marks: driven.marks.map(([frame, kind, text]) => ({ frame, kind, text })),

@@ -34,6 +34,7 @@ class Page {
     [this.head, this.ground, this.films] = [head, ground, films];
     this.base = clockBase(films);
     this.duration = Math.max(...films.map(durationOf));
+    this.begins = [...new Set(films.map(({ startS }) => startS))].filter((startS) => startS !== this.base); // by the simulation's time
     this.long = this.base + this.duration >= LONG_CLOCK_S;
     this.hidden = new Set(); // kinds of marks that are left out
     this.elapsed = 0;
@@ -262,6 +263,8 @@ class Page {
     const of = document.createElement("small");
     of.textContent = ` of ${clock(this.base + this.duration, { long: this.long })}`;
     byId("clock").replaceChildren(text, of);
+    byId("simulation").hidden = !this.begins.length;
+    byId("simulation").textContent = `simulation ${this.begins.map((startS) => clock(startS + this.elapsed)).join(" and ")}`;
   }
 
   _showControls() {

@@ -6,8 +6,9 @@ export function durationOf(film) {
   return (film.nFrames - 1) * film.stepS;
 }
 
-/** What the clock shows at `elapsed` 0: the simulation's time, if the films begin at the same. */
+/** What the clock shows at `elapsed` 0: of an episode 0, as in its tables; else the simulation's time, if all begin at the same. */
 export function clockBase(films) {
+  if (films.some(({ driven }) => driven)) return 0;
   return films.every((film) => film.startS === films[0].startS) ? films[0].startS : 0;
 }
 

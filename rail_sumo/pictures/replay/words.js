@@ -14,6 +14,12 @@ const REFUSALS = {
   "under way": "not begun, a lane change is under way",
 };
 
+const STAYS = {
+  lowest: "no effect, the set speed stays at its lowest",
+  highest: "no effect, the set speed stays at its highest",
+  same: "no effect, the set speed stays the same",
+};
+
 const HOLDINGS = {
   "set speed": "drives at the set speed",
   limit: "keeps to the speed limit",
@@ -54,6 +60,7 @@ export const MARKS = {
 export function outcome(decision) {
   const asked = ACTION_LABELS[decision.asked];
   if (decision.why) return `${asked}: ${REFUSALS[decision.why]}`;
+  if (decision.stays) return `${asked}: ${STAYS[decision.stays]}`;
   if (decision.asked === decision.carriedOut) {
     return decision.asked === "keep" ? "keep: nothing changes" : `${asked}: carried out`;
   }
