@@ -25,6 +25,7 @@ from rail_sumo.highway.observation import feature_names
 from rail_sumo.highway.simulation import floating_car_data
 from rail_sumo.imitation.demonstrations import Demonstrations
 from rail_sumo.policy import ARGMAX, SAMPLED, PolicyParameters
+from rail_sumo.records import Trajectory
 from rail_sumo.rollout import (
     DEMONSTRATION,
     EVALUATION,
@@ -207,7 +208,6 @@ def evaluate(
         _check_fcd(fcd, workers)
     for warning in demand.warnings(demand.read(world.traffic)):
         observer.note(warning)
-    network = assets.network_name(world.network.file)
     labels = [(name, episode) for episode in range(episodes) for name in policies]  # interrupted, all have as many
     tasks = [
         Task(
@@ -218,39 +218,58 @@ def evaluate(
         )
         for name, episode in labels
     ]
-    rows: list[dict[str, Any]] = []
-    decided: list[tuple[str, int, dict[str, Any]]] = []
-    undriven: list[tuple[str, int, str]] = []
+    results = _Results(policies, world, reference)
     try:
-        for (name, episode), driven in zip(labels, attempt_all("eval", tasks, workers, observer), strict=True):
-            if isinstance(driven, Undriven):
-                undriven.append((name, episode, driven.why))
-                told: dict[str, Any] = {"seed": driven.seed, "network": network, "end_reason": driven.end_reason}
-            else:
-                told = metrics.row(driven, world.adas)
-                if not drivers.hands_off(policies[name]):
-                    decided.append((name, episode, metrics.decisions(driven)))
-            rows.append({"policy": name, "episode": episode, **told})
+        for label, driven in zip(labels, attempt_all("eval", tasks, workers, observer), strict=True):
+            results.add(*label, driven)
     except KeyboardInterrupt:
-        if len(rows) > len(undriven):
-            raise Interrupted(_tables(rows, decided, list(policies), reference), len(labels)) from None
+        if results.are_some:
+            raise Interrupted(results.tables(), len(labels)) from None
         raise
-    if len(undriven) == len(labels):
-        raise InputError(undriven[0][-1])
-    for name, episode, why in undriven:
+    if not results.are_some:
+        raise InputError(results.undriven[0][-1])
+    for name, episode, why in results.undriven:
         observer.note(f"{name} did not drive episode {episode}: {why}")
     if fcd:
         _require_whole(fcd)
-    return _tables(rows, decided, list(policies), reference)
+    return results.tables()
 
 
-def _tables(
-    rows: list[dict[str, Any]], decided: list[tuple[str, int, dict[str, Any]]], policies: list[str], reference: str
-) -> Tables:
-    """Return the tables, one policy after another."""
-    table = report.episodes(sorted(rows, key=lambda row: policies.index(row["policy"])))
-    in_order = sorted(decided, key=lambda of_episode: policies.index(of_episode[0]))
-    return Tables(table, report.summary(table, reference), report.decisions(in_order))
+class _Results:
+    """What the episodes of an evaluation came to, as far as they are driven; arguments as of `evaluate`."""
+
+    def __init__(self, policies: Mapping[str, Who], world: Config, reference: str) -> None:
+        self._policies = policies
+        self._world = world
+        self._reference = reference
+        self._network = assets.network_name(world.network.file)
+        self._rows: list[dict[str, Any]] = []
+        self._decided: list[tuple[str, int, dict[str, Any]]] = []
+        self.undriven: list[tuple[str, int, str]] = []
+        """Policy, number and why, of episodes that could not be driven."""
+
+    def add(self, name: str, episode: int, driven: Trajectory | Undriven) -> None:
+        """Note a policy's episode."""
+        if isinstance(driven, Undriven):
+            self.undriven.append((name, episode, driven.why))
+            told: dict[str, Any] = {"seed": driven.seed, "network": self._network, "end_reason": driven.end_reason}
+        else:
+            told = metrics.row(driven, self._world.adas)
+            if not drivers.hands_off(self._policies[name]):
+                self._decided.append((name, episode, metrics.decisions(driven)))
+        self._rows.append({"policy": name, "episode": episode, **told})
+
+    @property
+    def are_some(self) -> bool:
+        """Whether any episode was driven."""
+        return len(self._rows) > len(self.undriven)
+
+    def tables(self) -> Tables:
+        """Return the tables, one policy after another."""
+        rank = {name: number for number, name in enumerate(self._policies)}
+        table = report.episodes(sorted(self._rows, key=lambda row: rank[row["policy"]]))
+        decided = sorted(self._decided, key=lambda of_episode: rank[of_episode[0]])
+        return Tables(table, report.summary(table, self._reference), report.decisions(decided))
 
 
 def record(
