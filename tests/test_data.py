@@ -75,5 +75,6 @@ def test_the_table_of_the_study_of_shares_is_what_its_runs_come_to():
     text = (ROOT / "docs" / "share.md").read_text(encoding="utf-8")
     rows = shares.told_rows(table, shares.compared(table))
     assert len(rows) == 1 + 3 * 4
-    for driver, _, *cells in rows:
-        assert f"| {' | '.join([driver, *cells])} |" in text
+    for row in rows:
+        told = [row.driver, row.share, *(cell.on_one_line for cell in row.cells.values())]
+        assert f"| {' | '.join(told)} |" in text

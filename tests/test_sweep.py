@@ -176,8 +176,14 @@ def test_the_summary_says_how_many_seeds_five_percent_would_take():
     assert np.isnan(told.loc["collisions", "seeds_for_5_percent"])
 
 
-CELLS = ["1369 (+1 ± 3)", "105.6 (+5.2 ± 10.5)", "1.21 (+0.02 ± 0.14)", "0.72 (+0.05 ± 0.04)"]
-CELLS += ["0.020 (-0.057 ± 0.005)", "0.000 (+0.000 ± 0.000)", "252.6 (+14.8 ± 0.9)", "0.0 (+0.0 ± 0.0)"]
+MEANS = ["1369", "105.6", "1.21", "0.72", "0.020", "0.000", "252.6", "0.0"]
+CHANGES = ["+1 ± 3", "+5.2 ± 10.5", "+0.02 ± 0.14", "+0.05 ± 0.04"]
+CHANGES += ["-0.057 ± 0.005", "+0.000 ± 0.000", "+14.8 ± 0.9", "+0.0 ± 0.0"]
+
+
+def row(driver, share, changes):
+    cells = map(shares.Cell, MEANS, changes)
+    return shares.Row(driver, "", share, dict(zip(TOLD, cells, strict=True)))
 
 
 @pytest.mark.parametrize(
@@ -190,7 +196,7 @@ CELLS += ["0.020 (-0.057 ± 0.005)", "0.000 (+0.000 ± 0.000)", "252.6 (+14.8 ±
 )
 @pytest.mark.parametrize("driver", ["road-rail", "runs/a-name-that-is-folded"])
 def test_the_terminal_shows_what_fits_with_whole_headings_and_says_where_the_rest_is(width, left_out, driver):
-    rows = [["as they are", "", "0%", *(cell.partition(" ")[0] for cell in CELLS)], [driver, "", "50%", *CELLS]]
+    rows = [row("as they are", "0%", [""] * len(CHANGES)), row(driver, "50%", CHANGES)]
     console = Console(width=width)
     with console.capture() as shown:
         console.print(told_table("", rows, "What these are.", width=width))
@@ -199,9 +205,7 @@ def test_the_terminal_shows_what_fits_with_whole_headings_and_says_where_the_res
     assert "…" not in shown.get()
     names = [told.name for told in TOLD.values() if told.name not in left_out]
     assert re.split(r"  +", lines[1].strip()) == names
-    differences = [
-        cell.partition("(")[2][:-1] for cell, told in zip(CELLS, TOLD.values(), strict=True) if told.name in names
-    ]
+    differences = [change for change, told in zip(CHANGES, TOLD.values(), strict=True) if told.name in names]
     assert re.split(r"  +", lines[6].strip())[-len(names) :] == differences
     rest = f"What these are. Not shown for want of room, but in sweep.md: {', '.join(left_out)}."
     below = " ".join(" ".join(lines[7:]).split())
@@ -218,8 +222,8 @@ def test_a_measure_without_a_value_is_a_dash():
     )
     table["co2_g_per_vehkm"] = np.nan
     rows = shares.told_rows(table, compared(table))
-    assert [row[-2] for row in rows] == ["-", "-"]
-    assert rows[1][4] == "66.0 (+1.0 ± 0.0)"
+    assert [row.cells["co2_g_per_vehkm"] for row in rows] == [("-", ""), ("-", "")]
+    assert rows[1].cells["speed_kmh"].on_one_line == "66.0 (+1.0 ± 0.0)"
 
 
 def test_a_key_may_be_swept_over(world, tmp_path, figures):

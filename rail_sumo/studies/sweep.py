@@ -38,6 +38,7 @@ from rail_sumo.tables.shares import (
     MEASURED,
     TOLD,
     TRAFFIC_COLUMNS,
+    Row,
     compared,
     summarised,
     told_rows,
@@ -345,7 +346,10 @@ def markdown(sweep: Sweep, tables: Tables) -> str:
     """Return the study as a page: what was driven, the means of all vehicles, and how they differ from share 0."""
     setting = [] if sweep.key == SHARE else [sweep.key]
     headings = ["driver", *setting, "share", *(told.heading for told in TOLD.values())]
-    rows = [[driver, *([value] if setting else []), *cells] for driver, value, *cells in _rows_of(tables)]
+    rows = [
+        [row.driver, *([row.setting] if setting else []), row.share, *(cell.on_one_line for cell in row.cells.values())]
+        for row in _rows_of(tables)
+    ]
     lines = [
         f"# {sweep.road or sweep.config.network.file}: {', '.join(sweep.drivers)}",
         "",
@@ -365,7 +369,7 @@ def shown(sweep: Sweep, tables: Tables, *, width: int) -> Table:
     return told_table(key, _rows_of(tables), _caption(sweep, tables, "below them"), width=width)
 
 
-def _rows_of(tables: Tables) -> list[list[str]]:
+def _rows_of(tables: Tables) -> list[Row]:
     return told_rows(tables.traffic, tables.differences)
 
 

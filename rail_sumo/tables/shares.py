@@ -153,30 +153,55 @@ TOLD = {
 """The measures that `sweep.md` shows, and the terminal as many of them as fit."""
 
 
-def told_rows(table: pd.DataFrame, differences: pd.DataFrame) -> list[list[str]]:
-    """Return for each driver, setting and share its cells: who, where, how many, and the measures of `TOLD`.
+class Cell(NamedTuple):
+    """A measure as it is told."""
 
-    A measure without a value, as of the emissions of trips where none began, is a dash.
-    """
+    mean: str
+    """A dash where it has no value, as emissions where no trip began."""
+    difference: str
+    """From share 0, with its interval; empty of share 0."""
+
+    @property
+    def on_one_line(self) -> str:
+        """Both."""
+        return f"{self.mean} ({self.difference})" if self.difference else self.mean
+
+    @property
+    def on_two_lines(self) -> str:
+        """Both, the difference dimmed in Rich's markup."""
+        return f"{self.mean}\n[dim]{self.difference}[/]" if self.difference else self.mean
+
+
+class Row(NamedTuple):
+    """A driver, a setting and a share."""
+
+    driver: str
+    setting: str
+    share: str
+    cells: dict[str, Cell]
+    """By measure, of `TOLD`."""
+
+
+def told_rows(table: pd.DataFrame, differences: pd.DataFrame) -> list[Row]:
+    """Return for each driver, setting and share what is told of it."""
     of_all = table[(table["vehicles"] == traffic.ALL) & ((table["driver"] != AS_THEY_ARE) | (table["share"] == 0.0))]
     changes = differences[differences["vehicles"] == traffic.ALL].set_index(["driver", "setting", "share", "measure"])
     rows = []
     for (driver, setting, share), of_seeds in of_all.groupby(["driver", "setting", "share"], sort=False):
-        cells = [driver if share else "as they are", setting, f"{share:.0%}"]
+        cells = {}
         for measure, (_, _, decimals) in TOLD.items():
-            mean = of_seeds[measure].mean()
-            cell = f"{mean:.{decimals}f}" if np.isfinite(mean) else "-"
+            mean, difference = of_seeds[measure].mean(), ""
             if share and np.isfinite(mean):
                 change = changes.loc[(driver, setting, share, measure)]
-                cell += f" ({change['difference']:+.{decimals}f}"
                 reach = (change["difference_high"] - change["difference_low"]) / 2
-                cell += f" ± {reach:.{decimals}f})" if np.isfinite(reach) else ")"
-            cells.append(cell)
-        rows.append(cells)
+                within = f" ± {reach:.{decimals}f}" if np.isfinite(reach) else ""
+                difference = f"{change['difference']:+.{decimals}f}{within}"
+            cells[measure] = Cell(f"{mean:.{decimals}f}" if np.isfinite(mean) else "-", difference)
+        rows.append(Row(driver if share else "as they are", setting, f"{share:.0%}", cells))
     return rows
 
 
-def told_table(key: str, rows: list[list[str]], caption: str, *, width: int) -> Table:
+def told_table(key: str, rows: list[Row], caption: str, *, width: int) -> Table:
     """Return the table for the terminal: a row per driver and share, dimmed below each the differences.
 
     Args:
@@ -188,29 +213,23 @@ def told_table(key: str, rows: list[list[str]], caption: str, *, width: int) -> 
     others = [measure for measure in TOLD if measure != CONTACTS]
     for n in range(len(others), -1, -1):
         shown = _table(key, rows, caption, [*others[:n], CONTACTS])
-        if report.width_of(shown, [row[0] for row in rows]) <= width:
+        if report.width_of(shown, [row.driver for row in rows]) <= width:
             break
     return shown
 
 
-def _table(key: str, rows: list[list[str]], caption: str, measures: list[str]) -> Table:
+def _table(key: str, rows: list[Row], caption: str, measures: list[str]) -> Table:
     left_out = [told.name for measure, told in TOLD.items() if measure not in measures]
     more = f"\nNot shown for want of room, but in sweep.md: {', '.join(left_out)}." if left_out else ""
     shown = Table(box=SIMPLE_HEAD, caption=caption + more, collapse_padding=True, pad_edge=False)
     shown.add_column("driver", overflow="fold", min_width=report.NAME_WIDTH)
     for heading in (*([key] if key else []), "share", *(f"{TOLD[one].name}\n{TOLD[one].unit}" for one in measures)):
         shown.add_column(heading, justify="right", no_wrap=True)
-    for driver, setting, share, *cells in rows:
-        by_measure = dict(zip(TOLD, cells, strict=True))
+    for driver, setting, share, cells in rows:
         shown.add_row(
             escape(driver),
             *([escape(setting)] if key else []),
             share,
-            *(_two_lines(by_measure[one]) for one in measures),
+            *(cells[one].on_two_lines for one in measures),
         )
     return shown
-
-
-def _two_lines(cell: str) -> str:
-    mean, _, difference = cell.partition(" (")
-    return f"{mean}\n[dim]{difference.removesuffix(')')}[/]" if difference else mean
