@@ -1,5 +1,7 @@
+import math
 from pathlib import Path
 
+import libsumo
 import pytest
 
 from rail_sumo import assets, config
@@ -189,6 +191,70 @@ def test_a_vehicle_that_certainly_does_not_depart_is_refused(tmp_path, name, nea
     assert str(refused.value) == (
         f"the demand has no vehicle '{name}', which traffic.host names{meant} (available: 42, in.east.0, taxi7)"
     )
+
+
+FLOWS = """<routes>
+    <flow id="ten" begin="0" end="900" number="10"/>
+    <flow id="regular" begin="0" end="100" period="2"/>
+    <flow id="hourly" begin="0:00:00" end="0:30:00" vehsPerHour="100"/>
+    <flow id="endless" begin="0" period="2"/>
+    <flow id="by_chance" begin="0" end="100" probability="0.5"/>
+    <flow id="poisson" begin="0" end="100" period="exp(0.5)"/>
+</routes>"""
+
+
+HOW_MANY = {"number": 'number="10"', "regular": 'period="2"', "hourly": 'vehsPerHour="700"', "few": 'period="80"'}
+
+
+@pytest.mark.parametrize(
+    ("name", "scale", "most"),
+    [
+        ("ten", "1", 10),
+        ("ten", "2.5", 25),
+        ("ten", "0.3", 3),
+        ("regular", "1", 50),
+        ("hourly", "1", 50),
+        ("endless", "1", math.inf),
+        ("by_chance", "1", math.inf),
+        ("poisson", "1", math.inf),
+    ],
+)
+def test_of_a_flow_the_host_is_one_of_those_that_it_has(tmp_path, name, scale, most):
+    given = read([written(tmp_path, FLOWS)], options=[f"scale={scale}"])
+    last = 10**6 if most == math.inf else most - 1
+    assert not is_refused(demand.require_vehicle, given, f"{name}.{last}")
+    if most < math.inf:
+        with pytest.raises(InputError) as refused:
+            demand.require_vehicle(given, f"{name}.{most}")
+        assert str(refused.value) == (
+            f"traffic.host names '{name}.{most}', and the flow '{name}' has {most} vehicles, from '{name}.0' on; "
+            "name one of these"
+        )
+
+
+@pytest.mark.parametrize("scale", ["1", "2.5", "0.3"])
+def test_a_flow_has_as_many_vehicles_as_sumo_makes_of_it(tmp_path, scale):
+    flows = [f'<flow id="{name}" route="r" begin="0" end="99" {how}/>' for name, how in HOW_MANY.items()]
+    path = written(tmp_path, f'<routes><route id="r" edges="highway"/>{"".join(flows)}</routes>')
+    made = set()
+    libsumo.start(["sumo", "-n", str(assets.network("highway5")), "-r", str(path), "--scale", scale, "--no-step-log"])
+    try:
+        while libsumo.simulation.getMinExpectedNumber():
+            libsumo.simulationStep()
+            made |= set(libsumo.simulation.getDepartedIDList())
+    finally:
+        libsumo.close()
+    given = read([path], options=[f"scale={scale}"])
+    for name in HOW_MANY:
+        last = max(int(one.removeprefix(f"{name}.")) for one in made if one.startswith(f"{name}."))
+        assert not is_refused(demand.require_vehicle, given, f"{name}.{last}")
+        beyond = last + 1 + math.ceil(float(scale))  # SUMO makes one less where the last would depart at the end
+        assert is_refused(demand.require_vehicle, given, f"{name}.{beyond}")
+
+
+def test_a_type_that_multiplies_its_vehicles_makes_more_than_a_flow_says(tmp_path):
+    doubled = written(tmp_path, FLOWS.replace("<routes>", '<routes><vType id="car" scale="2"/>'))
+    assert not is_refused(demand.require_vehicle, read([doubled]), "ten.15")
 
 
 @pytest.mark.parametrize("element", ['<person id="p" depart="0"/>', '<personFlow id="p"/>', '<calibrator id="c"/>'])

@@ -104,11 +104,12 @@ class _Content:
     """Names of files that it has SUMO write, and of some that it has SUMO read."""
     vehicles: frozenset[str]
     """Ids of vehicles and trips."""
-    flows: frozenset[str]
+    flows: Mapping[str, float]
+    """How many vehicles a flow has at most, by its id, where they are not multiplied; inf where it does not tell."""
     types: frozenset[str]
     """Ids of vehicle types, and of distributions of them."""
     has_unnamed: bool
-    """Whether SUMO may make vehicles for it with ids of its own."""
+    """Whether SUMO may make vehicles for it with ids of its own, or more of them than it says."""
 
 
 def read(traffic: config.Traffic) -> Demand:
@@ -165,22 +166,38 @@ def warnings(demand: Demand) -> Iterator[str]:
 def require_vehicle(demand: Demand, name: str) -> None:
     """Raise InputError if the demand certainly has no vehicle with this id.
 
-    What may have it: a vehicle or trip of that name, or a flow or a vehicle, if that is multiplied, that it numbers, as
-    `flow.3`. Of a demand for which SUMO may make vehicles with ids of its own, nothing is certain.
+    What may have it: a vehicle or trip of that name, a flow that has so many, as `flow.3`, or a vehicle that an option
+    multiplies. Of a demand for which SUMO may make vehicles with ids of its own, nothing is certain.
     """
     contents = [_content(path, state_of(path)) for path in demand.files]
     if any(one.has_unnamed for one in contents) or not UNREAD_OPTIONS.isdisjoint(demand.options):
         return
     vehicles = frozenset[str]().union(*(one.vehicles for one in contents))
-    flows = frozenset[str]().union(*(one.flows for one in contents))
+    most = dict.fromkeys(vehicles, math.inf)
+    for one in contents:
+        most |= one.flows
     whose, _, number = name.rpartition(".")
-    if name in vehicles or (number.isdecimal() and whose in vehicles | flows):
+    if name in vehicles or (number.isdecimal() and int(number) < _multiplied(most.get(whose, 0.0), demand)):
         return
+    flows = most.keys() - vehicles
+    if whose in flows and number.isdecimal():
+        raise InputError(
+            f"traffic.host names '{name}', and the flow '{whose}' has {_multiplied(most[whose], demand):.0f} vehicles, "
+            f"from '{whose}.0' on; name one of these"
+        )
     available = vehicles | {f"{flow}.0" for flow in flows}
     also = ("added", "replaces")
     raise InputError(
         f"the demand has no vehicle '{name}', which traffic.host names{did_you_mean(name, available, also=also)}"
     )
+
+
+def _multiplied(number: float, demand: Demand) -> float:
+    """Return how many vehicles there are at most of so many, as SUMO scales a demand."""
+    try:
+        return math.ceil(number * float(demand.options.get("scale", "1"))) if number < math.inf else math.inf
+    except ValueError:
+        return math.inf
 
 
 def require_type(demand: Demand, kind: str) -> None:
@@ -227,7 +244,7 @@ def _content(path: Path, state: tuple[int, int]) -> _Content:
     misplaced = reserved = too_dense = root = ""
     is_known = has_unnamed = False
     vehicles: set[str] = set()
-    flows: set[str] = set()
+    flows: dict[str, float] = {}
     types: set[str] = set()
     out_of_order: list[str] = []
     includes: list[str] = []
@@ -244,6 +261,7 @@ def _content(path: Path, state: tuple[int, int]) -> _Content:
             has_unnamed = has_unnamed or element.tag in UNNAMED
             if element.tag in TYPES:
                 types.add(name)
+                has_unnamed = has_unnamed or "scale" in element.attrib
             if element.tag == "include":
                 includes.append(element.get("href", ""))
             outputs += filter(None, map(element.get, OUTPUTS))
@@ -252,7 +270,10 @@ def _content(path: Path, state: tuple[int, int]) -> _Content:
             if element.tag == "flow" and _rate_per_s(element) > DENSEST_FLOW_PER_S:
                 too_dense = too_dense or name
             if element.tag in TRAFFIC_ELEMENTS:
-                (flows if element.tag == "flow" else vehicles).add(name)
+                if element.tag == "flow":
+                    flows[name] = _at_most(element)
+                else:
+                    vehicles.add(name)
                 departs_s, ends_s = _departures_s(element, otherwise=latest_s)
                 if departs_s < latest_s:
                     out_of_order.append(name)
@@ -279,7 +300,7 @@ def _content(path: Path, state: tuple[int, int]) -> _Content:
         includes=tuple(includes),
         outputs=tuple(outputs),
         vehicles=frozenset(vehicles),
-        flows=frozenset(flows),
+        flows=flows,
         types=frozenset(types),
         has_unnamed=has_unnamed,
     )
@@ -296,6 +317,17 @@ def _rate_per_s(flow: ElementTree.Element) -> float:
     with suppress(ValueError, ZeroDivisionError):
         rates.append(float(flow.get("number", "0")) / max(last_s - first_s, 1.0))
     return max(rates, default=0.0)
+
+
+def _at_most(flow: ElementTree.Element) -> float:
+    """Return how many vehicles a flow has at most, as far as its attributes tell; inf where chance decides."""
+    with suppress(ValueError):
+        return float(flow.get("number", ""))
+    first_s, last_s = _departures_s(flow, otherwise=0.0)
+    rate_per_s = _rate_per_s(flow)
+    if not rate_per_s or last_s == math.inf:
+        return math.inf
+    return max(1.0, math.floor(rate_per_s * (last_s - first_s) + 0.5))  # as SUMO rounds
 
 
 def _departures_s(element: ElementTree.Element, *, otherwise: float) -> tuple[float, float]:
