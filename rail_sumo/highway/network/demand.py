@@ -327,7 +327,7 @@ def _at_most(flow: ElementTree.Element) -> float:
     rate_per_s = _rate_per_s(flow)
     if not rate_per_s or last_s == math.inf:
         return math.inf
-    return max(1.0, math.floor(rate_per_s * (last_s - first_s) + 0.5))  # as SUMO rounds
+    return max(1.0, math.ceil(rate_per_s * (last_s - first_s)))  # the first departs at once, the last before its end
 
 
 def _departures_s(element: ElementTree.Element, *, otherwise: float) -> tuple[float, float]:
