@@ -46,7 +46,9 @@ def changed(config: Config, overrides: Iterable[str]) -> Config:
 
 
 def of(given: Config | Mapping[str, Any] | str | Path | None) -> Config:
-    """Return a configuration given as such, as nested mappings, or as a TOML file; without any, the default.
+    """Return a configuration given as such, as mappings, or as a TOML file; without any, the default.
+
+    Mappings nest, as `{"episode": {"duration_s": 60}}`, or name a key as --set does, `{"episode.duration_s": 60}`.
 
     Raises:
         InputError: as in `load`.
@@ -58,7 +60,7 @@ def of(given: Config | Mapping[str, Any] | str | Path | None) -> Config:
             'a configuration is a Config, nested mappings such as {"episode": {"duration_s": 60}}, or a TOML file; '
             f"got a {type(given).__name__}"
         )
-    return load(Path(given)) if isinstance(given, str | Path) else validate(dict(given or {}))
+    return load(Path(given)) if isinstance(given, str | Path) else validate(_nested(given or {}))
 
 
 def validate(tree: dict[str, Any]) -> Config:
@@ -118,10 +120,28 @@ def _apply(tree: dict[str, Any], override: str) -> None:
         value = tomllib.loads(f"value = {text}")["value"]
     except tomllib.TOMLDecodeError:
         value = text.strip()
-    section = tree.setdefault(parts[0], {})
+    _section(tree, parts[0])[parts[1]] = value
+
+
+def _section(tree: dict[str, Any], name: str) -> dict[str, Any]:
+    section = tree.setdefault(name, {})
     if not isinstance(section, dict):
-        raise InputError(f"configuration: '{parts[0]}' must be a section, written [{parts[0]}]; got {section!r}")
-    section[parts[1]] = value
+        raise InputError(f"configuration: '{name}' must be a section, written [{name}]; got {section!r}")
+    return section
+
+
+def _nested(given: Mapping[str, Any]) -> dict[str, Any]:
+    """Return mappings with every key in its section, `section.key` too."""
+    tree: dict[str, Any] = {}
+    for name, value in given.items():
+        section, dot, key = str(name).partition(".")
+        if dot:
+            _section(tree, section)[key] = value
+        elif isinstance(value, Mapping):
+            _section(tree, section).update(value)
+        else:
+            tree[section] = value
+    return tree
 
 
 def _explain(error: ValidationError) -> str:

@@ -112,8 +112,8 @@ class Network(ABC):
             A `MetaAction` as an int, or their array of shape (n,).
 
         Raises:
-            ValueError: observation or mask has another shape, an observation has a value that is not finite, or a
-                driver that heeds a mask is given none, or one in which nothing is open.
+            ValueError: observation or mask has another shape, an observation has a value that is not finite, a mask one
+                that is neither 0 nor 1, or a driver that heeds a mask is given none, or one in which nothing is open.
         """
         if mask is None and self.heeds_mask:
             raise ValueError("this driver heeds what is open: give act() the mask too, as info['action_mask'] tells it")
@@ -127,6 +127,8 @@ class Network(ABC):
             raise ValueError("observation holds values that are not finite")
         if masks.shape != (*observations.shape[:-1], N_ACTIONS):
             raise ValueError(f"mask must have shape {(*observations.shape[:-1], N_ACTIONS)}; got {masks.shape}")
+        if not np.isin(masks, (0, 1)).all():
+            raise ValueError("a mask holds 0 and 1, or False and True, and nothing else")
         if self.heeds_mask and not masks.any(axis=-1).all():
             raise ValueError("a mask has nothing open; keep always is")
         if observations.ndim == 1:

@@ -30,7 +30,13 @@ EVALUATION, TRAINING, DEMONSTRATION, EXPERT_TRAINING = range(4)
 
 
 def traffic_seed(seed: int, *key: int) -> int:
-    """Return the traffic seed of the child `key`, for example (TRAINING, iteration, direction), of the run's seed."""
+    """Return the traffic seed of the child `key`, for example (TRAINING, iteration, direction), of the run's seed.
+
+    Raises:
+        InputError: the seed is negative.
+    """
+    if seed < 0:
+        raise InputError(f"a seed is a whole number from 0 up; got {seed}")
     return int(np.random.SeedSequence(seed, spawn_key=key).generate_state(1)[0] >> 1)
 
 
@@ -231,6 +237,8 @@ def attempt_all(
 def _drive_all(
     how: Callable[[Task], Driven], work: str, tasks: list[Task], number: WorkerCount, observer: Observer
 ) -> Iterator[Driven]:
+    if number != "ray" and number < 1:
+        raise InputError(f"workers must be 1 or more, or ray; got {number}")
     observer.start(work, len(tasks))
     number = number if number == "ray" else max(1, min(number, len(tasks)))
     with workers(number, fresh=any(task.outputs for task in tasks)) as pool:

@@ -180,7 +180,7 @@ def evaluate(
     workers: WorkerCount = 1,
     observer: Observer = SILENT,
     fcd: Path | None = None,
-    reference: str = report.EXPERT,
+    reference: str | None = None,
 ) -> Tables:
     """Drive every policy through the same held-out episodes and return the tables.
 
@@ -193,16 +193,20 @@ def evaluate(
         observer: called after every episode.
         fcd: a new folder for SUMO's floating-car data: the host, and who is within reach of its LIDAR, on every step.
             `pandas.read_parquet` reads the folder as one table, to which it adds `policy` and `episode`.
-        reference: the policy that the summary's ratios and differences refer to.
+        reference: the policy that the summary's ratios and differences refer to; by default the expert, or else the last.
 
     An episode that cannot begin, or in which SUMO stops, is told to the observer; its row has an `end_reason` and no
     figures, and the summary leaves it out.
 
     Raises:
         Interrupted: by Ctrl-C; it holds the tables of the episodes that are done.
-        InputError: fewer than one episode, a network or demand in which none could be driven, or floating-car data that
-            cannot be written.
+        InputError: no policies, or the reference is none of them; fewer than one episode, a network or demand in which
+            none could be driven, or floating-car data that cannot be written.
     """
+    if not policies:
+        raise InputError("name at least one policy to evaluate")
+    if reference is not None and reference not in policies:
+        raise InputError(f"reference '{reference}' is not among the policies: {', '.join(policies)}; name it there too")
     require_drivable(world, episodes, policies.values())
     if fcd:
         _check_fcd(fcd, workers)
@@ -218,7 +222,7 @@ def evaluate(
         )
         for name, episode in labels
     ]
-    results = _Results(policies, world, reference)
+    results = _Results(policies, world, reference or report.reference_among(list(policies)))
     try:
         for label, driven in zip(labels, attempt_all("eval", tasks, workers, observer), strict=True):
             results.add(*label, driven)

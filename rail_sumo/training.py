@@ -35,6 +35,8 @@ def learn(
     if learner_of(config).asks_the_expert:
         drivers.require_same_senses(drivers.load_expert(config), config, "the expert, who is to be asked,")
     demonstrations = demonstrations_of(given)
+    if learner_of(config).reads_demonstrations and config.policy.masked and demonstrations.allowed.all():
+        observer.note(UNMASKED)
     inputs = inputs_of(config)
     if run is None:
         run = RunDirectory.create(out, config, seed, inputs, _start(config, demonstrations, seed))

@@ -65,8 +65,6 @@ def evaluate(
     from rail_sumo.tables import report
 
     _require_place(out, {"--fcd": (FCD, fcd), "--replay": (REPLAYS, bool(replays))}, overwrite=overwrite)
-    if reference and reference not in policies:
-        raise InputError(f"--reference {reference} is not among the policies: {', '.join(policies)}; name it there too")
     n_workers = workers_of(workers)
     _require_each_once(policies)
     world = run.world(policies, overrides_of(network, routes, overrides))
@@ -86,7 +84,7 @@ def evaluate(
                 seed=seed,
                 workers=n_workers,
                 observer=bars,
-                reference=reference or report.reference_among(policies),
+                reference=reference,
             )
             if out is None:
                 tables = drive()

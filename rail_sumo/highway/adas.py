@@ -370,6 +370,6 @@ class HandsOff:
         self.lane_changes = host.sumos_lane_changes
         if not self._keeps_limits:
             return Command(SUMO_DECIDES)
-        fastest = self._config.highest_mps(host.limit_mps)
+        fastest = max(self._config.highest_mps(host.limit_mps), host.speed_mps)
         limited = _within_limits(fastest, host, self._config, steps=1)
         return Command(limited if limited < fastest else SUMO_DECIDES)

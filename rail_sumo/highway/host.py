@@ -30,6 +30,8 @@ SUMO_CHANGES_LANES = 1621
 """SUMO's default lane-change mode."""
 UNLIMITED = 10.0
 """Speed factor with which SUMO does not hold the host to the road's limits."""
+AS_ALLOWED = 1.00001
+"""Speed factor with which SUMO's own driver drives as fast as is allowed: networks tell 80 km/h as 22.2222 m/s."""
 
 AEB_TIME_GAP_S = 0.5
 """What emergency braking keeps to the vehicle ahead: less than adaptive cruise control does, which it is not to
@@ -87,6 +89,7 @@ class Host:
         self.aims_at = ""
         """The lane that it is about to move into; empty if none."""
         self._sumo_drives = False
+        self._speed_factor = math.nan  # that SUMO's own driver was last told; NaN while its type's holds
         self._set_mps = self._told_mps = 0.0  # the set speed, and the speed that SUMO was told
         self._leader: Leader | None = None
         self._leader_name = ""
@@ -185,6 +188,7 @@ class Host:
         self._lane_id = vehicle.getLaneID(self.name)
         if kind is None:
             vehicle.setTau(self.name, self._adas.time_gap_s)  # as a vehicle of SUMO's, it has no other time gap
+            self._speed_factor = UNLIMITED
         else:
             vehicle.setType(self.name, kind)
             kind = vehicle.getTypeID(self.name)  # the one drawn from a distribution
@@ -375,6 +379,8 @@ class Host:
     def drive(self) -> None:
         """Tell SUMO the speed for the next step: the set speed, or what adaptive cruise control makes of it."""
         speed_mps, leader = self._set_mps, self._leader
+        if not math.isnan(self._speed_factor):
+            self._keep_to_limit()
         if leader is not None and not self._sumo_drives:
             speed_mps = min(speed_mps, acc.following_mps(self.speeds_mps[-1], leader, self._adas))
         is_driven = self.junctions.matter and not self._sumo_drives
@@ -383,6 +389,13 @@ class Host:
         if speed_mps != self._told_mps:
             libsumo.vehicle.setSpeed(self.name, speed_mps)
             self._told_mps = speed_mps
+
+    def _keep_to_limit(self) -> None:
+        """Have SUMO's own driver keep to the limit of its lane, or be no faster than it is: SUMO would brake hard."""
+        factor = max(AS_ALLOWED, self.speeds_mps[-1] / self.limit_mps)
+        if factor != self._speed_factor:
+            libsumo.vehicle.setSpeedFactor(self.name, factor)
+            self._speed_factor = factor
 
     def note(self) -> None:
         """Record the host's speed, its leader and its contacts after a step."""

@@ -1,8 +1,8 @@
 """The judge: tells the expert's decisions from the learner's, and rewards what it takes for the expert's.
 
-Source: least-squares GAN (Mao et al. 2017) in Shin & Kim (IJCAI 2019), with one change. Their D is linear, so that
-some of its outputs leave (0, 1), where log D - log(1 - D) is undefined and a clamp decides the reward. Ours ends in a
-sigmoid, which makes that reward the network's own output, the logit. Other losses: `losses`.
+Source: least-squares GAN (Mao et al. 2017) in Shin & Kim (IJCAI 2019), who keep D within (0, 1) "experimentally": where
+it leaves that range, log D - log(1 - D) is undefined. Here D is the sigmoid of the network's output, which makes that
+reward the output itself, the logit. Other losses: `losses`.
 """
 
 from collections.abc import Mapping, Sequence
@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 from torch import Tensor
 
 from rail_sumo import config, registry
+from rail_sumo.errors import InputError
 from rail_sumo.imitation.demonstrations import Demonstrations
 from rail_sumo.imitation.losses import LOSSES
 from rail_sumo.imitation.perceptron import load_training_state, perceptron, single_threaded, training_state
@@ -64,6 +65,9 @@ class Discriminator:
             expert: what was demonstrated.
             learner: the iteration's rollouts.
             rng: draws the minibatches, and whatever the loss draws.
+
+        Raises:
+            InputError: the loss comes to no finite number.
         """
         expert_pairs = self._pairs(expert.observations, expert.actions)
         learner_pairs = self._pairs(*_decisions(learner))
@@ -76,6 +80,8 @@ class Discriminator:
             loss.backward()
             self._adam.step()
             losses.append(loss.item())
+        if not np.isfinite(losses).all():
+            raise InputError(f"judge.loss '{self._settings.loss}' came to {losses[-1]}; it must be a finite number")
 
         with torch.inference_mode():
             means = [self._loss.verdict(self._outputs(pairs)).mean().item() for pairs in (expert_pairs, learner_pairs)]
@@ -88,9 +94,17 @@ class Discriminator:
         Args:
             observations: shape (n, n_features).
             actions: shape (n,).
+
+        Raises:
+            InputError: the loss gives no reward, a finite number, to each.
         """
         with torch.inference_mode():
             rewards = self._loss.reward(self._outputs(self._pairs(observations, actions)))
+        if rewards.shape != (len(actions),) or not torch.isfinite(rewards).all():
+            raise InputError(
+                f"the reward of judge.loss '{self._settings.loss}' must be a finite number for each of "
+                f"{len(actions)} decisions; it has shape {tuple(rewards.shape)}"
+            )
         return rewards.numpy().astype(np.float64).clip(-self._settings.reward_clip, self._settings.reward_clip)
 
     @single_threaded()
