@@ -40,6 +40,35 @@ def test_speed_limits_are_kept_and_braked_for_comfortably(make, watched, town, w
                 assert speeds_kmh[fronts > 1060.0].min() == pytest.approx(50.0, abs=0.1)
 
 
+BY_THE_LIMIT = {"max_speed_kmh": "limit", "min_speed_kmh": "limit/2", "start_speed_kmh": "limit*3/4"}
+
+
+@pytest.mark.parametrize("who", ["accelerating", "sumo"])
+def test_where_set_speeds_follow_the_limit_a_fast_road_gives_no_leave_to_be_fast_beyond_it(make, watched, town, who):
+    """The host can drive 130 km/h, which the first kilometre allows, and the town does not."""
+    env = make(world(network=town, traffic=EMPTY, adas=BY_THE_LIMIT), hands_off=who == "sumo")
+    driven = drive(env, always(ACCELERATE), UNSEEN)
+    fronts = np.array([scene.x_m[0] + 0.5 * scene.length_m[0] for scene in watched().scenes])
+    speeds_kmh = driven.speed_mps[1:] * KMH
+    assert speeds_kmh[fronts < 600.0].max() == pytest.approx(130.0, abs=0.1)
+    assert speeds_kmh[fronts > 1004.0].max() == pytest.approx(50.0, abs=0.1)
+    assert np.diff(driven.speed_mps).min() >= -0.2 - 1e-6  # 2 m/s², in every step of 0.1 s
+
+
+@pytest.mark.parametrize("by_sumo", [True, False])
+def test_who_enters_faster_than_is_allowed_slows_down_comfortably(make, tmp_path, by_sumo):
+    (tmp_path / "fast.rou.xml").write_text(
+        '<routes><vType id="fast" speedFactor="1.5"/><route id="along" edges="highway"/>'
+        '<vehicle id="one" type="fast" route="along" depart="70" departLane="0" departSpeed="33"/></routes>'
+    )
+    traffic = {"routes": [str(tmp_path / "fast.rou.xml")], "host": "one"}
+    env = make(world(traffic=traffic, adas=BY_THE_LIMIT, episode={"duration_s": 30.0}), hands_off=by_sumo)
+    driven = drive(env, always(KEEP), UNSEEN)
+    assert driven.speed_mps[0] > 80 / KMH + 5.0
+    assert driven.speed_mps[-1] <= 80 / KMH + 0.1
+    assert np.diff(driven.speed_mps).min() >= -0.2 - 1e-6
+
+
 @pytest.mark.parametrize("traffic", [{"vehicles": 10, "speed_low_kmh": 60.0}])
 def test_the_windows_vehicles_keep_to_speed_limits_too(make, watched, town, traffic):
     drive(make(world(network=town, traffic=traffic, episode={"duration_s": 300.0})), always(ACCELERATE), UNSEEN)
