@@ -193,7 +193,7 @@ def evaluate(
         observer: called after every episode.
         fcd: a new folder for SUMO's floating-car data: the host, and who is within reach of its LIDAR, on every step.
             `pandas.read_parquet` reads the folder as one table, to which it adds `policy` and `episode`.
-        reference: the policy that the summary's ratios and differences refer to; by default the expert, or else the last.
+        reference: the policy that the summary's ratios and differences refer to; by default an expert, else the last.
 
     An episode that cannot begin, or in which SUMO stops, is told to the observer; its row has an `end_reason` and no
     figures, and the summary leaves it out.

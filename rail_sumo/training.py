@@ -18,6 +18,12 @@ from rail_sumo.policy import ARGMAX, SAMPLED, PolicyParameters, Shape, Whitening
 from rail_sumo.rollout import SILENT, Observer, WorkerCount
 from rail_sumo.run_directory import PROGRESS_COLUMNS, Checkpoint, Row, RunDirectory, require_new
 
+UNTOLD = (
+    "the demonstrations do not tell what was open to their driver (columns allowed_*), and so a masked clone of them "
+    "may change lanes too seldom; add these columns, or set policy.masked=false"
+)
+"""What is said of demonstrations without masks that a masked policy is to be cloned from."""
+
 
 def learn(
     config: Config, out: Path, *, seed: int, workers: WorkerCount = 1, resume: bool = False, observer: Observer = SILENT
@@ -36,7 +42,7 @@ def learn(
         drivers.require_same_senses(drivers.load_expert(config), config, "the expert, who is to be asked,")
     demonstrations = demonstrations_of(given)
     if learner_of(config).reads_demonstrations and config.policy.masked and demonstrations.allowed.all():
-        observer.note(UNMASKED)
+        observer.note(UNTOLD)
     inputs = inputs_of(config)
     if run is None:
         run = RunDirectory.create(out, config, seed, inputs, _start(config, demonstrations, seed))

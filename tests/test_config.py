@@ -341,3 +341,13 @@ def test_a_file_that_cannot_be_read_or_is_no_toml_is_named(tmp_path):
 def test_a_period_that_is_no_whole_number_of_steps_is_refused():
     with pytest.raises(InputError, match=r"^configuration: episode\b.*decision_period_s.*0\.25$"):
         config_file.load(overrides=["episode.decision_period_s=0.25"])
+
+
+def test_mappings_may_name_a_key_as_the_command_line_does():
+    named = config_file.of({"traffic.vehicles": 30, "episode": {"duration_s": 60.0}, "episode.decision_period_s": 0.5})
+    nested = {"traffic": {"vehicles": 30}, "episode": {"duration_s": 60.0, "decision_period_s": 0.5}}
+    assert named == config_file.of(nested) != config_file.of(None)
+    with pytest.raises(InputError, match=r"unknown key 'traffic.vehicels'; did you mean 'traffic.vehicles'"):
+        config_file.of({"traffic.vehicels": 30})
+    with pytest.raises(InputError, match=r"'traffic' must be a section, written \[traffic\]; got 30"):
+        config_file.of({"traffic": 30, "traffic.vehicles": 30})

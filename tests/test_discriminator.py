@@ -1,3 +1,5 @@
+import dataclasses
+
 import numpy as np
 import pytest
 import torch
@@ -6,8 +8,10 @@ from hypothesis import strategies as st
 from toy import episode
 
 from rail_sumo.config import Judge as Settings
+from rail_sumo.errors import InputError
 from rail_sumo.imitation.demonstrations import Demonstrations
 from rail_sumo.imitation.discriminator import Discriminator
+from rail_sumo.imitation.losses import LOSSES
 from rail_sumo.policy import Whitening
 from rail_sumo.records import MetaAction
 
@@ -202,3 +206,31 @@ def test_torch_computes_in_one_thread_and_has_as_many_as_before_after(monkeypatc
         assert torch.get_num_threads() == 3
     finally:
         torch.set_num_threads(before)
+
+
+def failing(**changes):
+    """The judge's loss, with a part that goes wrong."""
+    return dataclasses.replace(LOSSES["least-squares"], **changes)
+
+
+NO_NUMBER = failing(minimised=lambda outputs, expert, learner, rng: outputs(expert).mean() * float("nan"))
+REWARDS_NOBODY = failing(reward=lambda outputs: outputs.mean())
+REWARDS_NAN = failing(reward=lambda outputs: outputs * float("nan"))
+
+
+def test_a_loss_that_is_no_number_is_told_by_its_name():
+    name = f"{__name__}:NO_NUMBER"
+    fitted = judge(SMALL.model_copy(update={"loss": name}))
+    with pytest.raises(InputError, match=rf"^judge.loss '{name}' came to nan; it must be a finite number$"):
+        fitted.fit(demonstrations(), [rollout(20)], np.random.default_rng(0))
+
+
+@pytest.mark.parametrize(("name", "shape"), [("REWARDS_NOBODY", "()"), ("REWARDS_NAN", "(20,)")])
+def test_rewards_that_are_not_one_number_a_decision_are_told_by_their_loss(name, shape):
+    paying = judge(SMALL.model_copy(update={"loss": f"{__name__}:{name}"}))
+    with pytest.raises(InputError) as refused:
+        paying.returns([rollout(20)])
+    assert str(refused.value) == (
+        f"the reward of judge.loss '{__name__}:{name}' must be a finite number for each of 20 decisions; it has shape "
+        f"{shape}"
+    )

@@ -257,6 +257,9 @@ def test_a_loaded_driver_acts_as_it_drives_one_observation_or_many(name):
         driver.act(np.array(seen), masks[0])
     with pytest.raises(ValueError, match=re.escape("give act() the mask too, as info['action_mask'] tells it")):
         driver.act(observation)
+    for stray in (-math.inf, math.nan, 0.5, -1):
+        with pytest.raises(ValueError, match="a mask holds 0 and 1, or False and True, and nothing else"):
+            driver.act(observation, [1, 1, 1, 0, stray])
     with pytest.raises(ValueError, match="a mask has nothing open"):
         driver.act(observation, np.zeros(5))
 

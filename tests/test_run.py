@@ -4,6 +4,7 @@ import json
 import math
 import multiprocessing
 import os
+import re
 import shutil
 import signal
 from pathlib import Path
@@ -147,6 +148,8 @@ class KillsItself:
 
     def start(self, work, total, done=0):
         self.left = 2
+
+    def note(self, text): ...
 
     def advance(self, figures):
         self.left -= 1
@@ -646,3 +649,34 @@ def test_a_policy_from_before_it_said_how_it_acts_acts_as_it_did(trained, small)
     save_file(load_file(path), path, metadata={"rail_sumo": json.dumps(about)})
     kept = run.find_driver(str(trained), small)
     assert (kept.samples, kept.masked) == (False, False)
+
+
+@pytest.mark.parametrize(
+    ("given", "message"),
+    [
+        ({"policies": {}}, "name at least one policy to evaluate"),
+        ({"reference": "ruel"}, "reference 'ruel' is not among the policies: keep, rule; name it there too"),
+        ({"workers": 0}, "workers must be 1 or more, or ray; got 0"),
+        ({"seed": -1}, "a seed is a whole number from 0 up; got -1"),
+        ({"episodes": 0}, "episodes must be at least 1; got 0"),
+    ],
+)
+def test_an_evaluation_that_could_not_be_is_told_what_it_lacks(small, given, message):
+    arguments = {"policies": {"keep": "keep", "rule": "rule"}, "episodes": 1, "seed": 0} | given
+    with pytest.raises(InputError, match=f"^{re.escape(message)}$"):
+        run.evaluate(arguments.pop("policies"), small, **arguments)
+
+
+def test_demonstrations_that_do_not_tell_what_was_open_are_told_to_who_clones_them_masked(small, driven, tmp_path):
+    told = pd.read_parquet(tmp_path / "demonstrations.parquet")
+    told.drop(columns=[name for name in told if name.startswith("allowed_")]).to_parquet(tmp_path / "bare.parquet")
+    told.assign(allowed_left=told["action"] == MetaAction.LEFT).to_parquet(tmp_path / "masked.parquet")
+    said = {}
+    for file, masked in (("masked", True), ("bare", True), ("bare", False)):
+        notes = said[file, masked] = Notes()
+        world = small.changed(
+            train={"demonstrations": str(tmp_path / f"{file}.parquet"), "iterations": 0}, policy={"masked": masked}
+        )
+        training.learn(world, tmp_path / f"{file}-{masked}", seed=1, observer=notes)
+    assert [len(notes.told) for notes in said.values()] == [0, 1, 0]
+    assert said["bare", True].told[0].endswith("too seldom; add these columns, or set policy.masked=false")

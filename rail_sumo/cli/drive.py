@@ -62,7 +62,6 @@ def evaluate(
     The world is that of the first run directory among the policies, or the default, changed by the options.
     """
     from rail_sumo import replay, run
-    from rail_sumo.tables import report
 
     _require_place(out, {"--fcd": (FCD, fcd), "--replay": (REPLAYS, bool(replays))}, overwrite=overwrite)
     n_workers = workers_of(workers)
