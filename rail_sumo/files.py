@@ -18,6 +18,8 @@ def check_folder(folder: Path, *, overwrite: bool = False, instead: str = "") ->
         overwrite: whether the folder may exist.
         instead: what the user may do about an existing folder beside choosing another.
     """
+    if folder.exists() and not folder.is_dir():
+        raise InputError(f"output folder '{folder}' is a file; choose another")
     if folder.exists() and not overwrite:
         raise InputError(f"output folder '{folder}' exists; choose another{instead}")
     _check_writable(folder)

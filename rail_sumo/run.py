@@ -400,16 +400,16 @@ def _require_folder(policy: Path) -> None:
         RunDirectory(policy)
 
 
-def describe(folder: Path, world: Config, command: str, *, seed: int | None = None) -> None:
-    """Write beside tables what made them: the command, the world, the seed and the versions.
+def describe(folder: Path, world: Config, command: str, **more: Any) -> None:
+    """Write beside tables what made them: the command, the world and the versions.
 
     Args:
         folder: of the tables.
         world: where was driven.
         command: what was typed.
-        seed: of the traffic, where it is one.
+        more: what else there is to tell, by name.
     """
-    about = {"command": command, **({} if seed is None else {"seed": seed}), **_versions()}
+    about = {"command": command, **more, **_versions()}
     for name, text in ((report.WORLD, dumps(world)), (report.ORIGIN, json.dumps(about, indent=2) + "\n")):
         with whole_file(folder / name) as partial:
             partial.write_text(text, encoding="utf-8")

@@ -1,3 +1,4 @@
+import json
 import os
 import signal
 import subprocess
@@ -311,11 +312,14 @@ def test_interrupted_evaluation_leaves_the_tables_of_what_is_done(rail_sumo, mon
     code, out, err = rail_sumo(*arguments)
     assert (code, err.splitlines()[-1]) == (130, "rail-sumo: interrupted after 3 of 6 episodes")
     assert "tables in out" in out
+    about = json.loads((tmp_path / "out" / "evaluation.json").read_text())
+    assert about["interrupted"] == "after 3 of 6 episodes"
     kept = pd.read_csv(tmp_path / "out" / "episodes.csv")
     monkeypatch.setattr(rollout, "drive", drive)
     assert rail_sumo(*arguments, "--overwrite")[0] == 0
     whole = pd.read_csv(tmp_path / "out" / "episodes.csv")
     done = [0, 1, 3]  # two episodes of keep and one of rule: neither waits until the other has driven all
+    assert "interrupted" not in json.loads((tmp_path / "out" / "evaluation.json").read_text())
     pd.testing.assert_frame_equal(kept, whole.iloc[done].reset_index(drop=True))
 
 

@@ -69,9 +69,9 @@ def evaluate(
     world = run.world(policies, overrides_of(network, routes, overrides))
     who = {policy: run.find_driver(policy, world) for policy in policies}
 
-    def keep(tables: "Tables", whole: Path) -> None:
+    def keep(tables: "Tables", whole: Path, **more: str) -> None:
         tables.save(whole)
-        run.describe(whole, world, typed(), seed=seed)
+        run.describe(whole, world, typed(), seed=seed, **more)
 
     try:
         with progress_bars() as bars:
@@ -96,12 +96,13 @@ def evaluate(
                 with files.whole_folder(out, overwrite=overwrite) as whole:
                     keep(tables, whole)
     except run.Interrupted as stop:
+        after = f"after {len(stop.tables.episodes)} of {stop.episodes} episodes"
         if out:
             with files.whole_folder(out, overwrite=overwrite) as whole:
-                keep(stop.tables, whole)
+                keep(stop.tables, whole, interrupted=after)
             _forget(out, FCD, REPLAYS)
         show(stop.tables, out)
-        print(f"rail-sumo: interrupted after {len(stop.tables.episodes)} of {stop.episodes} episodes", file=sys.stderr)
+        print(f"rail-sumo: interrupted {after}", file=sys.stderr)
         raise typer.Exit(130) from None
     show(tables, out)
     if out and fcd:
@@ -184,9 +185,12 @@ def replay(
     else:
         if begin is not None or end is not None:
             raise InputError("--begin and --end cut floating-car data; of an episode all is shown")
-        for one in what:
-            if Path(one).suffix in FCD_SUFFIXES and not Path(one).exists():
-                raise InputError(f"floating-car data '{one}' do not exist (current folder: {Path.cwd().name})")
+        for one in map(Path, what):
+            if one.suffix in FCD_SUFFIXES and not one.exists():
+                raise InputError(f"floating-car data '{one}' do not exist (current folder: {Path.cwd()})")
+            part = next(one.rglob(run.PART), None)
+            if one.name == FCD and part:
+                raise InputError(f"'{one}' holds the floating-car data of several episodes; name one, such as '{part}'")
         _require_each_once(what)
         world = run.world(what, overrides_of(network, routes, overrides))
         who = {policy: run.find_driver(policy, world) for policy in what}

@@ -3,6 +3,7 @@
 import math
 import sys
 from functools import lru_cache
+from statistics import fmean
 from typing import Any
 
 import numpy as np
@@ -32,7 +33,8 @@ from rail_sumo.records import (
 
 CRAWL_MPS = 0.1
 STANDSTILL_STEPS = 3000
-"""A host that has not moved for this many steps (five minutes) will not: the episode ends."""
+"""A host that stands, and has driven less than 30 m in so many steps (five minutes), ends its episode. SUMO teleports
+those who stand in the way for so long, so that in a jam it might creep on for hours."""
 ALL_ALLOWED = [True] * len(MetaAction)
 KEEP_ALONE = [action is MetaAction.KEEP for action in MetaAction]
 """What is allowed to a vehicle that is not on the road."""
@@ -145,7 +147,7 @@ class Agent:
             return "end of road"
         speeds = self.host.speeds_mps
         crawls = speeds[-1] < CRAWL_MPS and len(speeds) >= STANDSTILL_STEPS
-        return "standstill" if crawls and max(speeds[-STANDSTILL_STEPS:]) < CRAWL_MPS else None
+        return "standstill" if crawls and fmean(speeds[-STANDSTILL_STEPS:]) < CRAWL_MPS else None
 
     def action_masks(self) -> list[bool]:
         """Return for each meta-action whether a masked policy may choose it now; see `HighwayEnv.action_masks`."""

@@ -123,7 +123,9 @@ def _origin(folder: Path) -> Iterator[str]:
         return
     try:
         about = json.loads(file.read_text(encoding="utf-8"))
-        told = {key: str(about[key]) for key in ("command", "seed", "rail-sumo", "libsumo") if key in about}
+        told = {
+            key: str(about[key]) for key in ("command", "seed", "interrupted", "rail-sumo", "libsumo") if key in about
+        }
     except (ValueError, TypeError) as error:
         raise InputError(f"'{file}' is damaged: {error}") from None
     yield _table(pd.DataFrame({"": list(told), "what was run": list(told.values())}), is_sortable=False)
@@ -220,7 +222,10 @@ def _decisions(decisions: pd.DataFrame) -> Iterator[str]:
     )
     changes = decisions[decisions["carried_out"].isin(["left", "right"])]
     if len(changes):
-        told = "Where lanes were changed: to the left upwards, to the right downwards."
+        told = (
+            "Where lane changes were begun, by the distance driven since the host entered, wherever that was: to the "
+            "left upwards, to the right downwards. Those that were taken back are among them."
+        )
         yield _picture(_where(changes, decisions), told)
 
 
