@@ -8,6 +8,7 @@ training, over the seeds that both were trained with. Whatever is finished in th
 """
 
 import argparse
+import itertools
 from pathlib import Path
 
 import numpy as np
@@ -35,7 +36,7 @@ PAIRS = (
 )
 METRICS = ("speed_kmh", "overtakes", "lane_changes")
 OF_THE_PAPER = 16
-"""Episodes that it drove of each system, one training each."""
+"""Episodes that its table's means are of."""
 
 
 def ratios(cells: pd.DataFrame) -> pd.DataFrame:
@@ -61,29 +62,31 @@ def ratios(cells: pd.DataFrame) -> pd.DataFrame:
 
 
 def differences(cells: pd.DataFrame) -> pd.DataFrame:
-    """A row per pair and metric: the mean difference, one minus the other, with its 95 % interval over trainings."""
+    """A row per pair, number of trajectories and metric: one minus the other, with its 95 % interval over trainings."""
     rows = []
-    for one, other in PAIRS:
-        ours, theirs = (cells[(cells["system"] == name) & (cells["mode"] == mode)] for name, mode in (one, other))
+    for (one, other), shown in itertools.product(PAIRS, sorted(set(cells["trajectories"]) - {0})):
+        of_it = cells[cells["trajectories"].isin([0, shown])]
+        ours, theirs = (of_it[(of_it["system"] == name) & (of_it["mode"] == mode)] for name, mode in (one, other))
         seeds = set(ours["training_seed"]) & set(theirs["training_seed"])
         if not seeds:
             continue
-        for metric in METRICS:
+        for metric in (*METRICS, "told_apart"):
             pair = [
                 statistics.units(scores(driven[driven["training_seed"].isin(seeds)], metric), trained=True)
                 for driven in (ours, theirs)
             ]
             difference, low, high = statistics.difference(*pair)
             rows.append({
-                "one": " ".join(one), "minus": " ".join(other), "seeds": len(seeds), "metric": metric,
+                "one": " ".join(one), "minus": " ".join(other), "shown": shown, "seeds": len(seeds), "metric": metric,
                 "difference": difference, "low": low, "high": high,
             })  # fmt: skip
     return pd.DataFrame(rows)
 
 
 def lane_changing(cells: pd.DataFrame) -> pd.DataFrame:
-    """A row per system and mode: what share of the lane changes begun was taken back, and what a completed one cost."""
-    sums = cells.groupby(["system", "mode"], sort=False)[
+    """A row per system, mode and trajectories: what share of the lane changes begun was taken back, what one cost."""
+    by = ["system", "mode", "trajectories"]
+    sums = cells.groupby(by, sort=False)[
         ["lane_changes", "aborted_lane_changes", "lateral_reward", "collisions", "struck"]
     ].sum()
     begun = sums["lane_changes"] + sums["aborted_lane_changes"]
@@ -91,8 +94,20 @@ def lane_changing(cells: pd.DataFrame) -> pd.DataFrame:
         "taken back": sums["aborted_lane_changes"] / begun,
         "lateral reward of one": sums["lateral_reward"] / sums["lane_changes"],
         "contacts": sums["collisions"] + sums["struck"],
-        "episodes": cells.groupby(["system", "mode"], sort=False).size(),
+        "episodes": cells.groupby(by, sort=False).size(),
     })  # fmt: skip
+
+
+def correlations(cells: pd.DataFrame) -> pd.DataFrame:
+    """A row per system and mode: how its episodes correlate with the expert's on the same traffic, by metric."""
+    by_traffic = ["training_seed", "episode"]
+    theirs = cells[cells["system"] == report.EXPERT].set_index(by_traffic)
+    rows = {
+        (system, mode): {metric: driven.set_index(by_traffic)[metric].corr(theirs[metric]) for metric in METRICS}
+        for (system, mode), driven in cells.groupby(["system", "mode"], sort=False)
+        if system != report.EXPERT
+    }
+    return pd.DataFrame.from_dict(rows, orient="index")
 
 
 def chance_ratios(cells: pd.DataFrame) -> pd.DataFrame:
@@ -115,9 +130,10 @@ def main() -> None:
     cells = read_cells(parser.parse_args().folder / "cells.parquet")
     world = config.Config()
     print(ratios(cells).to_string(index=False), end="\n\n")
-    cells = cells[cells["trajectories"].isin([0, world.train.trajectories])]
-    print(differences(cells).round(2).to_string(index=False))
+    print(differences(cells).round(3).to_string(index=False))
     print(f"\n{lane_changing(cells).round(3).to_string()}")
+    cells = cells[cells["trajectories"].isin([0, world.train.trajectories])]
+    print(f"\ncorrelation of episodes with the expert's\n{correlations(cells).round(2).to_string()}")
     print(f"\nthe expert beside itself, {OF_THE_PAPER} episodes each:")
     print(chance_ratios(cells).round(3).to_string(index=False))
     shown = training.demonstrations_of(world)

@@ -132,8 +132,19 @@ def test_systems_are_compared_with_one_another_training_by_training():
 
 
 def test_what_lane_changes_cost_and_how_many_are_taken_back():
-    found = claims.lane_changing(cells("rail-2", 72.0)).loc[("rail-2", "argmax")]
-    assert found.tolist() == [0.25, -10.0, 0, 4]
+    found = claims.lane_changing(pd.concat([cells("rail-2", 72.0), cells("rail-2", 72.0, trajectories=5, seeds=1)]))
+    assert found.loc[("rail-2", "argmax", 40)].tolist() == [0.25, -10.0, 0, 4]
+    assert found.loc[("rail-2", "argmax", 5)].tolist() == [0.25, -10.0, 0, 2]
+
+
+def test_how_alike_episodes_on_the_same_traffic_are():
+    expert, follower, opposite = (cells(name, 60.0, "", trajectories=0) for name in ("expert", "rule", "sumo"))
+    expert["overtakes"] = [1, 2, 3, 4]
+    follower["overtakes"] = [2, 4, 6, 8]
+    opposite["overtakes"] = [4, 3, 2, 1]
+    shuffled = pd.concat([expert, follower, opposite]).sample(frac=1.0, random_state=0)
+    found = claims.correlations(shuffled)["overtakes"]
+    assert {system: round(value, 6) for (system, _), value in found.items()} == {"rule": 1.0, "sumo": -1.0}
 
 
 def test_how_far_a_driver_lies_from_itself_by_chance():
