@@ -15,15 +15,17 @@ import pandas as pd
 import pytest
 import safety
 import sensing
+import shown
 import throughput
 from rich.console import Console
 
 from rail_sumo import config_file
 from rail_sumo.highway.parallel_env import HighwayParallelEnv
+from rail_sumo.imitation.demonstrations import Demonstrations
 
 
 @pytest.mark.parametrize(
-    "benchmark", [ablations, agreement, claims, efficiency, learning, noise, safety, sensing, throughput]
+    "benchmark", [ablations, agreement, claims, efficiency, learning, noise, safety, sensing, shown, throughput]
 )
 def test_every_benchmark_can_be_asked_what_it_does(benchmark, monkeypatch, capsys):
     monkeypatch.setattr("sys.argv", [benchmark.__name__, "--help"])
@@ -188,3 +190,11 @@ def test_the_agents_of_the_benchmark_all_decide_at_every_step(monkeypatch):
     )
     assert throughput.agents_of_ours(5) == 8 * 5 / 2.0
     assert asked[-5:] == [8] * 5
+
+
+def test_groups_of_trajectories_are_dealt_out_without_one_in_two_of_them():
+    episode = np.repeat(np.arange(3, 9), 2)
+    every = Demonstrations(np.arange(12.0)[:, None], np.zeros(12, int), episode)
+    groups = [shown.dealt(every, 2, number) for number in range(3)]
+    assert [sorted(set(group.episode.tolist())) for group in groups] == [[3, 4], [5, 6], [7, 8]]
+    assert np.array_equal(np.concatenate([group.observations for group in groups]), every.observations)
