@@ -4,7 +4,7 @@
 
 Tables by trajectories show all trainings the same ones, the first of the demonstrations, so that their intervals do not
 tell what others would have come to. Here the shipped expert's 40 are dealt out in groups, a clone is made of each, all
-with the same first weights, and driven in either mode on traffic that nothing else is driven on. Figures are ratios to
+with the same first weights, and driven in either mode on traffic that no training meets. Figures are ratios to
 the expert's: the mean over groups, the least and the greatest.
 """
 

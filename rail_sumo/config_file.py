@@ -135,12 +135,14 @@ def _nested(given: Mapping[str, Any]) -> dict[str, Any]:
     tree: dict[str, Any] = {}
     for name, value in given.items():
         section, dot, key = str(name).partition(".")
-        if dot:
-            _section(tree, section)[key] = value
-        elif isinstance(value, Mapping):
-            _section(tree, section).update(value)
-        else:
-            tree[section] = value
+        keys = {key: value} if dot else value
+        if not isinstance(keys, Mapping):
+            tree[section] = keys
+            continue
+        for one in keys:
+            if one in _section(tree, section):
+                raise InputError(f"configuration: '{section}.{one}' is given twice; leave one of them out")
+        _section(tree, section).update(keys)
     return tree
 
 

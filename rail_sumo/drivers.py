@@ -127,7 +127,7 @@ class Network(ABC):
             raise ValueError("observation holds values that are not finite")
         if masks.shape != (*observations.shape[:-1], N_ACTIONS):
             raise ValueError(f"mask must have shape {(*observations.shape[:-1], N_ACTIONS)}; got {masks.shape}")
-        if not np.isin(masks, (0, 1)).all():
+        if not ((masks == 0) | (masks == 1)).all():
             raise ValueError("a mask holds 0 and 1, or False and True, and nothing else")
         if self.heeds_mask and not masks.any(axis=-1).all():
             raise ValueError("a mask has nothing open; keep always is")

@@ -212,7 +212,8 @@ def evaluate(
         _check_fcd(fcd, workers)
     for warning in demand.warnings(demand.read(world.traffic)):
         observer.note(warning)
-    labels = [(name, episode) for episode in range(episodes) for name in policies]  # interrupted, all have as many
+    # Interrupted, they all have about as many episodes.
+    labels = [(name, episode) for episode in range(episodes) for name in policies]
     tasks = [
         Task(
             policies[name],
@@ -227,10 +228,10 @@ def evaluate(
         for label, driven in zip(labels, attempt_all("eval", tasks, workers, observer), strict=True):
             results.add(*label, driven)
     except KeyboardInterrupt:
-        if results.are_some:
+        if results.any_driven:
             raise Interrupted(results.tables(), len(labels)) from None
         raise
-    if not results.are_some:
+    if not results.any_driven:
         raise InputError(results.undriven[0][-1])
     for name, episode, why in results.undriven:
         observer.note(f"{name} did not drive episode {episode}: {why}")
@@ -264,7 +265,7 @@ class _Results:
         self._rows.append({"policy": name, "episode": episode, **told})
 
     @property
-    def are_some(self) -> bool:
+    def any_driven(self) -> bool:
         """Whether any episode was driven."""
         return len(self._rows) > len(self.undriven)
 
@@ -385,13 +386,14 @@ def require_drivable(world: Config, episodes: int = 1, who: Iterable[Who] = ("ke
     """Raise InputError for what can be known to be wrong before anybody of those who are to drive does."""
     if episodes < 1:
         raise InputError(f"episodes must be at least 1; got {episodes}")
-    for fixed, by_sumo in itertools.product(varied.one_of_each(world), {drivers.hands_off(one) for one in who}):
-        HighwayEnv(fixed, hands_off=by_sumo, companions=deciders("keep", fixed, 0))
+    for fixed, hands_off in itertools.product(varied.one_of_each(world), {drivers.hands_off(one) for one in who}):
+        HighwayEnv(fixed, hands_off=hands_off, companions=deciders("keep", fixed, 0))
 
 
 def _require_folder(policy: Path) -> None:
     if not policy.exists():
-        either_way = [f"{name}:{mode}" for name, mode in itertools.product(drivers.SHIPPED, MODES)]
+        learned = set(drivers.SHIPPED) - set(assets.SHIPPED_EXPERTS)
+        either_way = [f"{name}:{mode}" for name, mode in itertools.product(learned, MODES)]
         raise InputError(
             f"policy '{policy}' is neither a run directory nor a driver"
             f"{did_you_mean(str(policy), drivers.NAMES, also=either_way)}"

@@ -19,8 +19,8 @@ from rail_sumo.rollout import SILENT, Observer, WorkerCount
 from rail_sumo.run_directory import PROGRESS_COLUMNS, Checkpoint, Row, RunDirectory, require_new
 
 UNTOLD = (
-    "the demonstrations do not tell what was open to their driver (columns allowed_*), and so a masked clone of them "
-    "may change lanes too seldom; add these columns, or set policy.masked=false"
+    "by the demonstrations everything was open to their driver at all times (columns allowed_*, or none), and so a "
+    "masked clone of them may change lanes too seldom; tell there what was open, or set policy.masked=false"
 )
 """What is said of demonstrations without masks that a masked policy is to be cloned from."""
 
@@ -41,10 +41,10 @@ def learn(
     if learner_of(config).asks_the_expert:
         drivers.require_same_senses(drivers.load_expert(config), config, "the expert, who is to be asked,")
     demonstrations = demonstrations_of(given)
-    if learner_of(config).reads_demonstrations and config.policy.masked and demonstrations.allowed.all():
-        observer.note(UNTOLD)
     inputs = inputs_of(config)
     if run is None:
+        if learner_of(config).reads_demonstrations and config.policy.masked and demonstrations.allowed.all():
+            observer.note(UNTOLD)
         run = RunDirectory.create(out, config, seed, inputs, _start(config, demonstrations, seed))
     else:
         run.go_on(config, seed, inputs)

@@ -226,10 +226,8 @@ def test_of_a_flow_the_host_is_one_of_those_that_it_has(tmp_path, name, scale, m
     if most < math.inf:
         with pytest.raises(InputError) as refused:
             demand.require_vehicle(given, f"{name}.{most}")
-        assert str(refused.value) == (
-            f"traffic.host names '{name}.{most}', and the flow '{name}' has {most} vehicles, from '{name}.0' on; "
-            "name one of these"
-        )
+        said = f"the flow '{name}' ends with '{name}.{most - 1}'; name one up to that"
+        assert str(refused.value) == f"traffic.host names '{name}.{most}', and {said}"
 
 
 @pytest.mark.parametrize("scale", ["1", "2.5", "0.3"])

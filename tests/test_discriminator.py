@@ -225,12 +225,15 @@ def test_a_loss_that_is_no_number_is_told_by_its_name():
         fitted.fit(demonstrations(), [rollout(20)], np.random.default_rng(0))
 
 
-@pytest.mark.parametrize(("name", "shape"), [("REWARDS_NOBODY", "()"), ("REWARDS_NAN", "(20,)")])
-def test_rewards_that_are_not_one_number_a_decision_are_told_by_their_loss(name, shape):
+@pytest.mark.parametrize(
+    ("name", "said"),
+    [
+        ("REWARDS_NOBODY", "must be one number for each of 20 decisions; it has shape ()"),
+        ("REWARDS_NAN", "must be finite; it is not always"),
+    ],
+)
+def test_rewards_that_are_not_one_number_a_decision_are_told_by_their_loss(name, said):
     paying = judge(SMALL.model_copy(update={"loss": f"{__name__}:{name}"}))
     with pytest.raises(InputError) as refused:
         paying.returns([rollout(20)])
-    assert str(refused.value) == (
-        f"the reward of judge.loss '{__name__}:{name}' must be a finite number for each of 20 decisions; it has shape "
-        f"{shape}"
-    )
+    assert str(refused.value) == f"the reward of judge.loss '{__name__}:{name}' {said}"

@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 from driving import ACCELERATE, EMPTY, KEEP, LEFT, MERGE, RIGHT, UNSEEN, always, at_random, drive, world
 
+from rail_sumo.errors import InputError
 from rail_sumo.highway.simulation import HOST
 from rail_sumo.records import KMH
 
@@ -374,3 +375,36 @@ def test_what_sumo_says_while_the_host_enters_more_slowly_is_not_the_users_to_re
     env.reset(seed=1)
     assert env.agent.host.speeds_mps[0] < 70.0 / KMH
     assert capfd.readouterr() == ("", "")
+
+
+@pytest.mark.parametrize("by_sumo", [True, False])
+def test_where_nobody_may_drive_for_a_while_the_host_stands(make, tmp_path, by_sumo):
+    (tmp_path / "one.rou.xml").write_text(
+        '<routes><vType id="car"/><route id="along" edges="highway"/>'
+        '<vehicle id="one" type="car" route="along" depart="70" departLane="0" departSpeed="20"/></routes>'
+    )
+    lanes = " ".join(f"highway_{lane}" for lane in range(5))
+    (tmp_path / "closed.add.xml").write_text(
+        f'<additional><variableSpeedSign id="v" lanes="{lanes}"><step time="0" speed="22"/><step time="80" speed="0"/>'
+        '<step time="110" speed="22"/></variableSpeedSign></additional>'
+    )
+    traffic = {
+        "routes": [str(tmp_path / "one.rou.xml")],
+        "additional": [str(tmp_path / "closed.add.xml")],
+        "host": "one",
+    }
+    env = make(world(traffic=traffic, adas=BY_THE_LIMIT, episode={"duration_s": 60.0}), hands_off=by_sumo)
+    driven = drive(env, always(ACCELERATE), UNSEEN)
+    assert driven.speed_mps[350] == pytest.approx(0.0, abs=0.01)
+    assert driven.speed_mps[-1] > 10.0
+
+
+def test_a_host_that_parks_is_told(make, tmp_path):
+    (tmp_path / "one.rou.xml").write_text(
+        '<routes><vType id="car"/><route id="along" edges="highway"/>'
+        '<vehicle id="one" type="car" route="along" depart="70">'
+        '<stop lane="highway_0" startPos="700" endPos="800" duration="60" parking="true"/></vehicle></routes>'
+    )
+    env = make(world(traffic={"routes": [str(tmp_path / "one.rou.xml")], "host": "one"}))
+    with pytest.raises(InputError, match=r"^vehicle 'one' parks beside the road, and can be driven no further as the "):
+        drive(env, always(KEEP), UNSEEN)

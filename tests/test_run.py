@@ -679,4 +679,4 @@ def test_demonstrations_that_do_not_tell_what_was_open_are_told_to_who_clones_th
         )
         training.learn(world, tmp_path / f"{file}-{masked}", seed=1, observer=notes)
     assert [len(notes.told) for notes in said.values()] == [0, 1, 0]
-    assert said["bare", True].told[0].endswith("too seldom; add these columns, or set policy.masked=false")
+    assert said["bare", True].told[0].endswith("too seldom; tell there what was open, or set policy.masked=false")

@@ -43,7 +43,7 @@ def test_the_learned_act_as_they_were_trained_unless_told():
     rail = run.find_driver("road-rail", world)
     assert isinstance(rail, PolicyParameters)
     assert (rail.samples, rail.masked) == (False, True)
-    assert run.find_driver("road-rail", world, "sampled").samples
+    assert run.find_driver("road-rail:sampled", world).samples
 
 
 def test_the_road_driver_learned_from_the_road_experts_demonstrations():

@@ -188,8 +188,8 @@ def replay(
         for one in map(Path, what):
             if one.suffix in FCD_SUFFIXES and not one.exists():
                 raise InputError(f"floating-car data '{one}' do not exist (current folder: {Path.cwd()})")
-            part = next(one.rglob(run.PART), None)
-            if one.name == FCD and part:
+            part = next(one.rglob(run.PART), None) if FCD in (one.name, *one.parent.parts) else None
+            if part:
                 raise InputError(f"'{one}' holds the floating-car data of several episodes; name one, such as '{part}'")
         _require_each_once(what)
         world = run.world(what, overrides_of(network, routes, overrides))

@@ -7,6 +7,7 @@ from collections.abc import Callable, Iterable, Mapping
 import libsumo
 
 from rail_sumo import config
+from rail_sumo.errors import InputError
 from rail_sumo.highway import acc, neighbours
 from rail_sumo.highway.acc import Leader
 from rail_sumo.highway.cut_ins import CutIns
@@ -89,7 +90,7 @@ class Host:
         self.aims_at = ""
         """The lane that it is about to move into; empty if none."""
         self._sumo_drives = False
-        self._speed_factor = math.nan  # that SUMO's own driver was last told; NaN while its type's holds
+        self._speed_factor: float | None = None  # that SUMO's own driver was last told; None where SUMO keeps its own
         self._set_mps = self._told_mps = 0.0  # the set speed, and the speed that SUMO was told
         self._leader: Leader | None = None
         self._leader_name = ""
@@ -208,6 +209,8 @@ class Host:
         """
         vehicle, speed_mps = libsumo.vehicle, self.speeds_mps[-1]
         lane_id = vehicle.getLaneID(self.name)
+        if not lane_id:
+            raise InputError(f"vehicle '{self.name}' parks beside the road, and can be driven no further as the host")
         edge_id, _, index = lane_id.rpartition("_")
         edge, lane = self._edges.get(edge_id) or self._joints.get(edge_id), int(index)
         limit_mps = libsumo.lane.getMaxSpeed(lane_id)
@@ -379,7 +382,7 @@ class Host:
     def drive(self) -> None:
         """Tell SUMO the speed for the next step: the set speed, or what adaptive cruise control makes of it."""
         speed_mps, leader = self._set_mps, self._leader
-        if not math.isnan(self._speed_factor):
+        if self._speed_factor is not None:
             self._keep_to_limit()
         if leader is not None and not self._sumo_drives:
             speed_mps = min(speed_mps, acc.following_mps(self.speeds_mps[-1], leader, self._adas))
@@ -392,7 +395,8 @@ class Host:
 
     def _keep_to_limit(self) -> None:
         """Have SUMO's own driver keep to the limit of its lane, or be no faster than it is: SUMO would brake hard."""
-        factor = max(AS_ALLOWED, self.speeds_mps[-1] / self.limit_mps)
+        limit_mps = self.limit_mps
+        factor = max(AS_ALLOWED, self.speeds_mps[-1] / limit_mps) if limit_mps > 0.0 else AS_ALLOWED
         if factor != self._speed_factor:
             libsumo.vehicle.setSpeedFactor(self.name, factor)
             self._speed_factor = factor

@@ -5,6 +5,7 @@ it leaves that range, log D - log(1 - D) is undefined. Here D is the sigmoid of 
 reward the output itself, the logit. Other losses: `losses`.
 """
 
+import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
@@ -80,8 +81,9 @@ class Discriminator:
             loss.backward()
             self._adam.step()
             losses.append(loss.item())
-        if not np.isfinite(losses).all():
-            raise InputError(f"judge.loss '{self._settings.loss}' came to {losses[-1]}; it must be a finite number")
+        wrong = [loss for loss in losses if not math.isfinite(loss)]
+        if wrong:
+            raise InputError(f"judge.loss '{self._settings.loss}' came to {wrong[0]}; it must be a finite number")
 
         with torch.inference_mode():
             means = [self._loss.verdict(self._outputs(pairs)).mean().item() for pairs in (expert_pairs, learner_pairs)]
@@ -100,11 +102,13 @@ class Discriminator:
         """
         with torch.inference_mode():
             rewards = self._loss.reward(self._outputs(self._pairs(observations, actions)))
-        if rewards.shape != (len(actions),) or not torch.isfinite(rewards).all():
+        if rewards.shape != (len(actions),):
             raise InputError(
-                f"the reward of judge.loss '{self._settings.loss}' must be a finite number for each of "
-                f"{len(actions)} decisions; it has shape {tuple(rewards.shape)}"
+                f"the reward of judge.loss '{self._settings.loss}' must be one number for each of {len(actions)} "
+                f"decisions; it has shape {tuple(rewards.shape)}"
             )
+        if not torch.isfinite(rewards).all():
+            raise InputError(f"the reward of judge.loss '{self._settings.loss}' must be finite; it is not always")
         return rewards.numpy().astype(np.float64).clip(-self._settings.reward_clip, self._settings.reward_clip)
 
     @single_threaded()

@@ -284,7 +284,7 @@ _NOTE = (
     "95 % intervals: over trainings, and over episodes of drivers that do not train. Told apart: how well a fresh "
     "classifier tells the decisions from the expert's, 0.5 being not at all; the expert's own is from its decisions "
     "on other traffic. Contacts: in how many of the episodes the host hit anything or was hit. The paper's are means "
-    "of 16 episodes of one training."
+    "of 16 episodes."
 )
 
 

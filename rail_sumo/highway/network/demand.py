@@ -177,14 +177,14 @@ def require_vehicle(demand: Demand, name: str) -> None:
     for one in contents:
         most |= one.flows
     whose, _, number = name.rpartition(".")
-    if name in vehicles or (number.isdecimal() and int(number) < _multiplied(most.get(whose, 0.0), demand)):
+    is_number = number.isdecimal() and number == str(int(number))
+    if name in vehicles or (is_number and int(number) < _multiplied(most.get(whose, 0.0), demand)):
         return
     flows = most.keys() - vehicles
-    if whose in flows and number.isdecimal():
-        raise InputError(
-            f"traffic.host names '{name}', and the flow '{whose}' has {_multiplied(most[whose], demand):.0f} vehicles, "
-            f"from '{whose}.0' on; name one of these"
-        )
+    if whose in flows and is_number:
+        last = _multiplied(most[whose], demand) - 1
+        has = f"ends with '{whose}.{last:.0f}'; name one up to that" if last >= 0 else "has no vehicles; name another"
+        raise InputError(f"traffic.host names '{name}', and the flow '{whose}' {has}")
     available = vehicles | {f"{flow}.0" for flow in flows}
     also = ("added", "replaces")
     raise InputError(

@@ -129,8 +129,8 @@ def _paths(value: str, folder: Path, seen_from: Path) -> str:
     paths: list[Path] = []
     for encoded in filter(None, value.split(",")):
         name = unquote(unquote(encoded)).replace("\\", "/")  # SUMO encodes once more what it writes from elsewhere
-        if PureWindowsPath(name).drive:
-            paths.append(Path(name))  # another computer's, to be told as it stands there
+        if PureWindowsPath(name.strip()).is_absolute():
+            paths.append(Path(name.strip()))  # another computer's, to be told as it stands there
             continue
         if not name.startswith("$"):
             name = os.path.relpath(seen_from / name, folder.resolve())
