@@ -115,13 +115,14 @@ def test_an_environment_that_is_lost_frees_its_simulation(make):
 
 def test_every_info_has_the_mask_and_the_last_what_the_episode_came_to(make):
     env = make()
-    *infos, last = (entry[-1] for entry in drive(env, seed=5))
-    for info in (*infos, last):
+    first, *infos, last = (entry[-1] for entry in drive(env, seed=5))
+    for info in (first, *infos, last):
         mask = info["action_mask"]
         assert (mask.dtype, mask.shape) == (np.int8, (5,))
         assert mask[:3].all() or not mask[1]  # during a change speed decisions are not offered
-    assert all(set(info) == {"action_mask"} for info in infos)
-    assert set(last) == {"action_mask", "is_success", *EPISODE_COLUMNS} - {"policy", "episode"}
+    assert set(first) == {"action_mask"}
+    assert all(set(info) == {"action_mask", "carried_out"} for info in infos)
+    assert set(last) == {"action_mask", "carried_out", "is_success", *EPISODE_COLUMNS} - {"policy", "episode"}
     trajectory = env.unwrapped.trajectory()
     assert (last["duration_s"], last["end_reason"], last["is_success"]) == (10.0, "duration", True)
     assert last["distance_m"] == trajectory.distance_m

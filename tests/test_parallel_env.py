@@ -113,12 +113,13 @@ def test_they_come_one_after_the_other_live_once_and_end_with_their_figures(make
         for name, observation in observations.items():
             assert env.observation_space(name).contains(observation)
             assert (infos[name]["action_mask"].dtype, infos[name]["action_mask"].shape) == (np.int8, (5,))
+            of_any_step = {"action_mask", "carried_out"} if name in living else {"action_mask"}
             if name in over:
-                assert set(infos[name]) == {"action_mask", "is_success", *EPISODE_COLUMNS} - {"policy", "episode"}
+                assert set(infos[name]) == {*of_any_step, "is_success", *EPISODE_COLUMNS} - {"policy", "episode"}
                 assert (infos[name]["end_reason"], truncations[name]) == ("course", True)
                 assert 400.0 <= infos[name]["distance_m"] < 450.0
             else:
-                assert infos[name].keys() == {"action_mask"}
+                assert infos[name].keys() == of_any_step
         living, ended = observations.keys() - over, ended | over
     assert ended == set(env.possible_agents)
     with pytest.raises(RuntimeError, match="no episode is under way, or it is over; call reset"):
