@@ -53,6 +53,12 @@ def listed(file: Path) -> list[tuple[str, list[str]]]:
     return [options(line) for line in lines if line.strip() and line[0] != "#"]
 
 
+def from_anywhere(policy: str) -> str:
+    """Return a run directory by its absolute path, whether or not it is followed by how it acts; names as they are."""
+    folder, colon, mode = policy.partition(":")
+    return f"{Path(folder).resolve()}{colon}{mode}" if Path(folder).exists() else policy
+
+
 def row(name: str, policy: str, episodes: pd.DataFrame) -> tuple[object, ...]:
     driven = episodes[episodes["duration_s"].notna()]
     km = driven["distance_m"].sum() / 1000
@@ -82,7 +88,7 @@ def main() -> None:
     parser.add_argument("--only", nargs="+", help="these roads")
     parser.add_argument("--out", type=Path, help="all episodes, as Parquet")
     given = parser.parse_args()
-    given.policies = [str(Path(name).resolve()) if Path(name).exists() else name for name in given.policies]
+    given.policies = [from_anywhere(policy) for policy in given.policies]
     print("| " + " | ".join(COLUMNS) + " |\n|" + " --- |" * len(COLUMNS), flush=True)
     tables = []
     with contextlib.chdir(given.roads.parent):
