@@ -29,8 +29,7 @@ METRICS = ["speed_kmh", "overtakes", "lane_changes", "lateral_reward"]
 
 def dealt(every: Demonstrations, shown: int, number: int) -> Demonstrations:
     """Return group `number` of so many trajectories each."""
-    own = np.isin(every.episode, np.unique(every.episode)[number * shown : (number + 1) * shown])
-    return Demonstrations(every.observations[own], every.actions[own], every.episode[own], every.allowed[own])
+    return every.only(np.unique(every.episode)[number * shown : (number + 1) * shown])
 
 
 def clone(given: tuple[int, int]) -> pd.DataFrame:

@@ -258,6 +258,10 @@ class Adas(_Section):
         """Return a set speed, brought within its range where this is the limit; the highest counts more."""
         return min(max(speed_mps, self.lowest_mps(limit_mps)), self.highest_mps(limit_mps))
 
+    def held_mps(self, speed_mps: float, limit_mps: float) -> float:
+        """Return a set speed as it is held where this is the limit, which counts more than its range."""
+        return min(self.clipped_mps(speed_mps, limit_mps), limit_mps)
+
     @model_validator(mode="after")
     def _ordered(self) -> "Adas":
         lowest, start, highest = self.min_speed_kmh, self.start_speed_kmh, self.max_speed_kmh

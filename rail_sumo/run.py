@@ -212,7 +212,7 @@ def evaluate(
         _check_fcd(fcd, workers)
     for warning in demand.warnings(demand.read(world.traffic)):
         observer.note(warning)
-    # Interrupted, they all have about as many episodes.
+    # One episode of everybody's after another: where that is interrupted, each has as many, or one less.
     labels = [(name, episode) for episode in range(episodes) for name in policies]
     tasks = [
         Task(

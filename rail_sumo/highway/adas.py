@@ -63,7 +63,7 @@ class Adas:
 
     def set_mps(self, limit_mps: float) -> float:
         """Return the set speed, as it is held where the limit is this."""
-        return min(self._config.clipped_mps(self._set_speed, limit_mps), limit_mps)
+        return self._config.held_mps(self._set_speed, limit_mps)
 
     @property
     def changing_lane(self) -> bool:

@@ -95,9 +95,9 @@ class Camera:
         adas, set_mps = self._env.world.adas, self._agent.adas.set_mps(limit_mps)
         if set_mps != before_mps:
             return ""
-        if set_mps >= min(adas.clipped_mps(math.inf, limit_mps), limit_mps):
+        if set_mps >= adas.held_mps(math.inf, limit_mps):
             return "highest"
-        return "lowest" if set_mps <= adas.clipped_mps(-math.inf, limit_mps) else "same"
+        return "lowest" if set_mps <= adas.held_mps(-math.inf, limit_mps) else "same"
 
     def _shoot(self, simulation: Simulation) -> None:
         agent = self._agent

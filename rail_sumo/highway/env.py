@@ -207,9 +207,8 @@ class HighwayEnv(gymnasium.Env[Floats, np.int64]):
         """Take one decision and drive until the next falls due.
 
         `info` holds the `action_mask` (see `action_masks`, int8), and which meta-action was `carried_out`: 0, to keep,
-        where the one that was asked for was not. At the end of an episode it also holds what it
-        came to, by the names of the `episodes` table, and `is_success`: whether it ended without a contact. Its whole
-        course is `trajectory`.
+        where the one that was asked for was not. At the end of an episode it also holds what it came to, by the names
+        of the `episodes` table, and `is_success`: whether it ended without a contact. Its whole course is `trajectory`.
         """
         observation, _ = self.drive(action)
         self._show()

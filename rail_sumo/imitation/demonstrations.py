@@ -92,8 +92,12 @@ class Demonstrations:
                 f"{n_episodes} demonstrated trajectories wanted, and there are {self.n_episodes}; "
                 f"set train.trajectories to 1..{self.n_episodes}, or record more with: rail-sumo expert record"
             )
-        taken = np.isin(self.episode, np.unique(self.episode)[:n_episodes])
-        return Demonstrations(self.observations[taken], self.actions[taken], self.episode[taken], self.allowed[taken])
+        return self.only(np.unique(self.episode)[:n_episodes])
+
+    def only(self, episodes: NDArray[np.int64]) -> "Demonstrations":
+        """Return those of the episodes with these numbers."""
+        own = np.isin(self.episode, episodes)
+        return Demonstrations(self.observations[own], self.actions[own], self.episode[own], self.allowed[own])
 
     def _numbered(self) -> NDArray[np.int64]:
         """Return episodes' numbers as they are, or from 0 where they are too large for the file."""

@@ -68,7 +68,7 @@ class Discriminator:
             rng: draws the minibatches, and whatever the loss draws.
 
         Raises:
-            InputError: the loss comes to no finite number.
+            InputError: the loss is not a finite number.
         """
         expert_pairs = self._pairs(expert.observations, expert.actions)
         learner_pairs = self._pairs(*_decisions(learner))
@@ -98,7 +98,7 @@ class Discriminator:
             actions: shape (n,).
 
         Raises:
-            InputError: the loss gives no reward, a finite number, to each.
+            InputError: the loss does not give every pair a reward that is a finite number.
         """
         with torch.inference_mode():
             rewards = self._loss.reward(self._outputs(self._pairs(observations, actions)))

@@ -183,7 +183,7 @@ class Row(NamedTuple):
 
 
 def told_rows(table: pd.DataFrame, differences: pd.DataFrame) -> list[Row]:
-    """Return for each driver, setting and share what is told of it."""
+    """Return a row for each driver, setting and share."""
     of_all = table[(table["vehicles"] == traffic.ALL) & ((table["driver"] != AS_THEY_ARE) | (table["share"] == 0.0))]
     changes = differences[differences["vehicles"] == traffic.ALL].set_index(["driver", "setting", "share", "measure"])
     rows = []

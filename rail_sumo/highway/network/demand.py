@@ -108,8 +108,8 @@ class _Content:
     """How many vehicles a flow has at most, by its id, where they are not multiplied; inf where it does not tell."""
     types: frozenset[str]
     """Ids of vehicle types, and of distributions of them."""
-    has_unnamed: bool
-    """Whether SUMO may make vehicles for it with ids of its own, or more of them than it says."""
+    may_have_more: bool
+    """Whether SUMO may make vehicles for it with other ids than these, or more of them than it says."""
 
 
 def read(traffic: config.Traffic) -> Demand:
@@ -170,19 +170,16 @@ def require_vehicle(demand: Demand, name: str) -> None:
     multiplies. Of a demand for which SUMO may make vehicles with ids of its own, nothing is certain.
     """
     contents = [_content(path, state_of(path)) for path in demand.files]
-    if any(one.has_unnamed for one in contents) or not UNREAD_OPTIONS.isdisjoint(demand.options):
+    if any(one.may_have_more for one in contents) or not UNREAD_OPTIONS.isdisjoint(demand.options):
         return
     vehicles = frozenset[str]().union(*(one.vehicles for one in contents))
-    most = dict.fromkeys(vehicles, math.inf)
-    for one in contents:
-        most |= one.flows
+    flows = {flow: _multiplied(most, demand) for one in contents for flow, most in one.flows.items()}
     whose, _, number = name.rpartition(".")
     is_number = number.isdecimal() and number == str(int(number))
-    if name in vehicles or (is_number and int(number) < _multiplied(most.get(whose, 0.0), demand)):
+    if name in vehicles or (is_number and (whose in vehicles or int(number) < flows.get(whose, 0.0))):
         return
-    flows = most.keys() - vehicles
-    if whose in flows and is_number:
-        last = _multiplied(most[whose], demand) - 1
+    if is_number and whose in flows:
+        last = flows[whose] - 1
         has = f"ends with '{whose}.{last:.0f}'; name one up to that" if last >= 0 else "has no vehicles; name another"
         raise InputError(f"traffic.host names '{name}', and the flow '{whose}' {has}")
     available = vehicles | {f"{flow}.0" for flow in flows}
@@ -242,7 +239,7 @@ def _with_included(path: Path, including: tuple[Path, ...] = ()) -> Iterator[Pat
 @cache  # every episode asks
 def _content(path: Path, state: tuple[int, int]) -> _Content:
     misplaced = reserved = too_dense = root = ""
-    is_known = has_unnamed = False
+    is_known = may_have_more = False
     vehicles: set[str] = set()
     flows: dict[str, float] = {}
     types: set[str] = set()
@@ -258,10 +255,10 @@ def _content(path: Path, state: tuple[int, int]) -> _Content:
                 reserved = reserved or name
             if element.tag in ADDITIONAL:
                 misplaced = misplaced or element.tag
-            has_unnamed = has_unnamed or element.tag in UNNAMED
+            may_have_more = may_have_more or element.tag in UNNAMED
             if element.tag in TYPES:
                 types.add(name)
-                has_unnamed = has_unnamed or "scale" in element.attrib
+                may_have_more = may_have_more or "scale" in element.attrib
             if element.tag == "include":
                 includes.append(element.get("href", ""))
             outputs += filter(None, map(element.get, OUTPUTS))
@@ -302,7 +299,7 @@ def _content(path: Path, state: tuple[int, int]) -> _Content:
         vehicles=frozenset(vehicles),
         flows=flows,
         types=frozenset(types),
-        has_unnamed=has_unnamed,
+        may_have_more=may_have_more,
     )
 
 
