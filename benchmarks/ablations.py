@@ -22,7 +22,7 @@ import pandas as pd
 import variants
 from scipy import stats
 
-from rail_sumo import config, config_file, learners, rollout, run, training
+from rail_sumo import config, config_file, learners, rollout, roster, run, training
 from rail_sumo.imitation import rail
 from rail_sumo.imitation.random_search import RandomSearch
 from rail_sumo.run_directory import RunDirectory
@@ -117,7 +117,7 @@ def train(this: Training) -> pd.DataFrame:
     with tempfile.TemporaryDirectory() as folder:
         policies = (_rail if this.learner == "rail" else _gail)(this, world, Path(folder) / "run")
     table, *_ = run.evaluate(
-        {**policies, "expert": run.find_driver("expert", world)}, world, episodes=this.episodes, seed=TRAFFIC
+        {**policies, "expert": roster.find_driver("expert", world)}, world, episodes=this.episodes, seed=TRAFFIC
     )
     means = table.groupby("policy", sort=False)[[*SHOWN, "collisions"]].mean()
     ratios = means.loc[list(policies)].assign(**means[SHOWN].loc[list(policies)] / means[SHOWN].loc["expert"])

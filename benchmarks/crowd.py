@@ -13,7 +13,7 @@ from typing import Any
 
 from throughput import Recording, record, replay
 
-from rail_sumo import rollout, run
+from rail_sumo import rollout, roster
 from rail_sumo.config import Config
 from rail_sumo.config_file import load
 from rail_sumo.drivers import Driver
@@ -80,7 +80,7 @@ def main() -> None:
 
 
 def one_host(world: Config, repeats: int) -> None:
-    expert: Any = run.find_driver("expert", world)
+    expert: Any = roster.find_driver("expert", world)
     task = Task(expert, world, seed=1)
     recording = record(task, lambda task, recording: timed(expert, task, recording))
     loop, bare = [], []

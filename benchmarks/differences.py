@@ -12,7 +12,7 @@ import argparse
 import numpy as np
 import pandas as pd
 
-from rail_sumo import rollout, run
+from rail_sumo import rollout, roster
 from rail_sumo.records import MetaAction
 from rail_sumo.rollout import Task, traffic_seed
 from rail_sumo.tables import audit, statistics
@@ -65,14 +65,14 @@ def main() -> None:
     parser.add_argument("--episodes", type=int, default=32)
     parser.add_argument("--workers", type=int, default=2)
     given = parser.parse_args()
-    world = run.world(given.runs)
-    expert = run.find_driver("expert", world)
+    world = roster.world(given.runs)
+    expert = roster.find_driver("expert", world)
     seeds = [traffic_seed(TRAFFIC, rollout.EVALUATION, episode) for episode in range(given.episodes)]
     made, areas = [], []
     with rollout.workers(given.workers) as pool:
         alone = list(pool.map(rollout.drive, [Task(expert, world, seed) for seed in seeds]))
         for name in given.runs:
-            learned = run.find_driver(name, world)
+            learned = roster.find_driver(name, world)
             driven = pool.map(rollout.drive_advised, [Task(learned, world, seed, adviser=expert) for seed in seeds])
             trajectories, advised = zip(*driven, strict=True)
             made.append(decisions(trajectories, advised))

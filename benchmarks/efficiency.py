@@ -20,7 +20,7 @@ import kept
 import numpy as np
 import pandas as pd
 
-from rail_sumo import config_file, learners, rollout, run, training
+from rail_sumo import config_file, learners, rollout, roster, run, training
 from rail_sumo.imitation import gail  # noqa: F401  importing it takes seconds, which are nobody's training
 
 LEARNERS = ("rail", "gail")
@@ -41,7 +41,7 @@ def learning_curve(given: tuple[str, bool, int, int, int]) -> pd.DataFrame:
         episodes, *_ = run.evaluate({"": driver}, world, episodes=EPISODES, seed=TRAFFIC)
         return episodes["speed_kmh"].mean()
 
-    expert = speed(run.find_driver("expert", world))
+    expert = speed(roster.find_driver("expert", world))
     looks = []
     with tempfile.TemporaryDirectory() as folder, rollout.workers(1) as pool:
         begun = training.learn(world, Path(folder) / "run", seed=FIRST_SEED + seed)

@@ -16,7 +16,7 @@ from pathlib import Path
 import numpy as np
 import pandas as pd
 
-from rail_sumo import learners, rollout, run, training
+from rail_sumo import learners, rollout, roster, run, training
 from rail_sumo.run_directory import RunDirectory
 
 FIGURES = {
@@ -46,7 +46,7 @@ def verdicts(learned: RunDirectory, judge, workers: int) -> dict[str, float]:
     """The judge's mean verdict on what it learned from, and on other drives of the same expert."""
     world = learned.config
     shown = training.demonstrations_of(world)
-    unseen = run.record(run.find_driver("expert", world), world, episodes=40, seed=2**31, workers=workers)
+    unseen = run.record(roster.find_driver("expert", world), world, episodes=40, seed=2**31, workers=workers)
 
     def verdict(drives):
         return float((1 / (1 + np.exp(-judge.rewards(drives.observations, drives.decisions)))).mean())

@@ -26,7 +26,7 @@ from stable_baselines3 import PPO
 from stable_baselines3.common.policies import ActorCriticPolicy
 from stable_baselines3.common.vec_env import DummyVecEnv
 
-from rail_sumo import config_file, learners, rollout, run, training
+from rail_sumo import config_file, learners, rollout, roster, run, training
 from rail_sumo.highway.env import HighwayEnv
 from rail_sumo.highway.observation import feature_names
 from rail_sumo.imitation import bc as ours
@@ -136,7 +136,7 @@ def cell(given: tuple[int, int]) -> pd.DataFrame:
     world = config_file.load()
     torch.set_num_threads(1)
     demonstrations = training.demonstrations_of(world)
-    policies = {**taught(world, demonstrations, seed, rounds), "expert": run.find_driver("expert", world)}
+    policies = {**taught(world, demonstrations, seed, rounds), "expert": roster.find_driver("expert", world)}
     return run.evaluate(policies, world, episodes=EPISODES, seed=seed)[0].assign(seed=seed)
 
 

@@ -18,7 +18,7 @@ from pathlib import Path
 
 import pandas as pd
 
-from rail_sumo import cli, run
+from rail_sumo import cli, roster, run
 
 POLICIES = ("road-rail", "road-expert", "rule", "sumo", "random")
 COLUMNS = (
@@ -95,8 +95,8 @@ def main() -> None:
         for name, overrides in listed(Path(given.roads.name)):
             if given.only and name not in given.only:
                 continue
-            world = run.world([], overrides)
-            who = {Path(policy).name: run.find_driver(policy, world) for policy in given.policies}
+            world = roster.world([], overrides)
+            who = {Path(policy).name: roster.find_driver(policy, world) for policy in given.policies}
             episodes, *_ = run.evaluate(
                 who, world, episodes=given.episodes, seed=given.seed, workers=given.workers, reference=next(iter(who))
             )

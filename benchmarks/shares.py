@@ -16,7 +16,7 @@ from pathlib import Path
 import pandas as pd
 import roads
 
-from rail_sumo import config_file, rollout, run
+from rail_sumo import config_file, rollout, roster
 from rail_sumo.errors import InputError
 from rail_sumo.rollout import EVALUATION, traffic_seed
 
@@ -26,7 +26,7 @@ OURS = [(name, [f'network.file="{name}"', f'traffic.routes=["{name}"]']) for nam
 def drive(work: tuple[str, list[str], str, float, int, float]) -> dict[str, object]:
     name, overrides, policy, share, number, seconds = work
     world = config_file.load(None, overrides)
-    fleet = rollout.fleet_of(run.find_driver(policy, world), world, share, traffic_seed(number, EVALUATION, 0))
+    fleet = rollout.fleet_of(roster.find_driver(policy, world), world, share, traffic_seed(number, EVALUATION, 0))
     told = {"road": name, "policy": policy, "share": share}
     try:
         fleet.drive(world.traffic.begin_s + seconds)

@@ -16,7 +16,7 @@ import kept
 import numpy as np
 import pandas as pd
 
-from rail_sumo import config_file, run, training
+from rail_sumo import config_file, roster, run, training
 from rail_sumo.highway.observation import feature_names
 from rail_sumo.imitation.demonstrations import Demonstrations
 from rail_sumo.policy import ARGMAX, SAMPLED
@@ -44,7 +44,7 @@ def clone(given: tuple[int, int]) -> pd.DataFrame:
         learned = training.learn(
             world.changed(train={"demonstrations": str(file)}), Path(folder) / "run", seed=SEED
         ).policy()
-    who = {mode: learned.acting(mode) for mode in (ARGMAX, SAMPLED)} | {"expert": run.find_driver("expert", world)}
+    who = {mode: learned.acting(mode) for mode in (ARGMAX, SAMPLED)} | {"expert": roster.find_driver("expert", world)}
     episodes, *_ = run.evaluate(who, world, episodes=EPISODES, seed=TRAFFIC)
     means = episodes.groupby("policy", sort=False)[METRICS].mean()
     ratios = means.loc[[ARGMAX, SAMPLED]] / means.loc["expert"]

@@ -11,10 +11,10 @@ import gymnasium
 
 if TYPE_CHECKING:
     from rail_sumo.highway.make import parallel_env
-    from rail_sumo.run import load_driver
+    from rail_sumo.roster import load_driver
 
 __all__ = ["load_driver", "parallel_env"]
-_ROOMS = {"load_driver": "rail_sumo.run", "parallel_env": "rail_sumo.highway.make"}
+_ROOMS = {"load_driver": "rail_sumo.roster", "parallel_env": "rail_sumo.highway.make"}
 
 gymnasium.register(
     "RailSumo/Highway-v0",

@@ -10,17 +10,22 @@ from pathlib import Path
 from rail_sumo.errors import InputError
 
 
+def is_taken(folder: Path) -> bool:
+    """Return whether there is something where a folder is to be; an empty one is nothing."""
+    return folder.exists() and not (folder.is_dir() and next(folder.iterdir(), None) is None)
+
+
 def check_folder(folder: Path, *, overwrite: bool = False, instead: str = "") -> None:
     """Raise InputError if `whole_folder` would be refused: better before an hour of driving than after it.
 
     Args:
         folder: where it would write.
-        overwrite: whether the folder may exist.
+        overwrite: whether the folder may hold something.
         instead: what the user may do about an existing folder beside choosing another.
     """
     if folder.exists() and not folder.is_dir():
         raise InputError(f"output folder '{folder}' is a file; choose another")
-    if folder.exists() and not overwrite:
+    if is_taken(folder) and not overwrite:
         raise InputError(f"output folder '{folder}' exists; choose another{instead}")
     _check_writable(folder)
 
@@ -55,15 +60,15 @@ def whole_file(file: Path) -> Iterator[Path]:
 def whole_folder(folder: Path, *, overwrite: bool = False) -> Iterator[Path]:
     """Give an empty folder on the same disk to write into; at the end it becomes `folder`.
 
-    With `overwrite` the folder may exist: then its files and folders are replaced, one by one, by those of the same
-    names, and others are left alone.
+    With `overwrite` the folder may hold something: then its files and folders are replaced, one by one, by those of the
+    same names, and others are left alone.
 
     Raises:
-        InputError: it exists, cannot be written to, or the disk is full.
+        InputError: it exists and is not empty, cannot be written to, or the disk is full.
     """
     check_folder(folder, overwrite=overwrite)
     with writing(folder):
-        merging = overwrite and folder.exists()
+        merging = folder.exists()
         place = folder if merging else folder.parent
         place.mkdir(parents=True, exist_ok=True)
         with tempfile.TemporaryDirectory(dir=place, prefix=f".{folder.name}.") as scratch:

@@ -42,7 +42,7 @@ def write(
         out: the page, .html.
         seed: of the evaluation; see `run.evaluate`.
         episode: its number there.
-        judges: by a policy's name, the run whose judge scores its decisions; see `run.judges_of`.
+        judges: by a policy's name, the run whose judge scores its decisions; see `roster.judges_of`.
         overwrite: whether `out` may exist.
 
     Returns:

@@ -13,10 +13,10 @@ import pandas as pd
 import pyarrow as pa
 import pyarrow.parquet as pq
 
-from rail_sumo import assets, config_file, drivers, learners, training
+from rail_sumo import assets, drivers, learners, roster, training
 from rail_sumo.config import Config
 from rail_sumo.config_file import dumps
-from rail_sumo.errors import InputError, did_you_mean
+from rail_sumo.errors import InputError
 from rail_sumo.files import check_file, check_folder, whole_file, whole_folder
 from rail_sumo.highway import metrics, varied
 from rail_sumo.highway.env import HighwayEnv
@@ -24,7 +24,7 @@ from rail_sumo.highway.network import demand
 from rail_sumo.highway.observation import feature_names
 from rail_sumo.highway.simulation import floating_car_data
 from rail_sumo.imitation.demonstrations import Demonstrations
-from rail_sumo.policy import ARGMAX, SAMPLED, PolicyParameters
+from rail_sumo.policy import ARGMAX, SAMPLED
 from rail_sumo.records import Trajectory
 from rail_sumo.rollout import (
     DEMONSTRATION,
@@ -37,11 +37,9 @@ from rail_sumo.rollout import (
     WorkerCount,
     attempt_all,
     deciders,
-    driver_of,
     practise_all,
     traffic_seed,
 )
-from rail_sumo.run_directory import CONFIG, RunDirectory
 from rail_sumo.tables import report
 
 PART = "part.parquet"
@@ -66,10 +64,6 @@ class Tables(NamedTuple):
         self.decisions.to_parquet(folder / report.DECISIONS, index=False)  # it is long: not as CSV too
 
 
-MODES = (ARGMAX, SAMPLED)
-"""How a learned policy may act, as `runs/first:sampled`; without a colon as it was trained."""
-
-
 class Interrupted(KeyboardInterrupt):
     """Ctrl-C while episodes were driven: the tables of those that are done, and how many there were to be."""
 
@@ -77,98 +71,6 @@ class Interrupted(KeyboardInterrupt):
         super().__init__()
         self.tables = tables
         self.episodes = episodes
-
-
-def world(policies: Iterable[str], overrides: Iterable[str] = ()) -> Config:
-    """Return the world to evaluate in: the first run directory's among the policies, with `overrides` on top.
-
-    Drivers known by name alone drive in the default world.
-
-    Raises:
-        InputError: a policy is neither, or what `config_file.load` raises.
-    """
-    named = [_name_and_mode(policy)[0] for policy in policies]
-    folders = [Path(name) for name in named if not drivers.is_name(name)]
-    for folder in folders:
-        _require_folder(folder)
-    chosen = config_file.load(folders[0] / CONFIG if folders else None, overrides)
-    if any(override.startswith(("lidar.", "observation.")) for override in overrides):
-        for policy in policies:
-            drivers.require_same_senses(find_driver(policy, chosen), chosen, f"policy '{policy}'")
-    return chosen
-
-
-def find_driver(policy: str, world: Config) -> Who:
-    """Return who drives under the name: a driver of ours, an expert's folder, or what a run directory learned.
-
-    What was learned acts as it was trained, or as the name says behind a colon: `rail:sampled`, `runs/first:argmax`.
-
-    Args:
-        policy: the name.
-        world: where it is to drive.
-
-    Raises:
-        InputError: it is neither, damaged, or learned on another observation than the world's; a colon behind who acts
-            in one way.
-    """
-    name, mode = _name_and_mode(policy)
-    who = _find(name, world)
-    if not mode:
-        return who
-    if not isinstance(who, PolicyParameters):
-        raise InputError(f"'{name}' acts in one way; leave out ':{mode}'")
-    return who.acting(mode)
-
-
-def _name_and_mode(policy: str) -> tuple[str, str]:
-    """Return a policy's name or folder, and how it is to act; "" for as it was trained."""
-    name, _, mode = policy.rpartition(":")
-    return (name, mode) if mode in MODES and not drivers.is_name(policy) else (policy, "")
-
-
-def _find(policy: str, world: Config) -> Who:
-    if policy == report.EXPERT:  # read once here, not by a worker in every episode
-        return drivers.load_expert(world)
-    if drivers.is_name(policy) and policy not in drivers.SHIPPED:
-        return policy
-    folder = _folder_of(policy)
-    if assets.is_expert(folder):
-        return drivers.load_expert(world, folder)
-    _require_folder(folder)
-    return RunDirectory(folder).policy()
-
-
-def judges_of(policies: Iterable[str]) -> dict[str, RunDirectory]:
-    """Return the runs of those policies that were learned, which may have a judge; see `learners.verdicts`."""
-    named = {policy: _name_and_mode(policy)[0] for policy in policies}
-    learned = {policy: name for policy, name in named.items() if name in drivers.SHIPPED or not drivers.is_name(name)}
-    folders = {policy: _folder_of(name) for policy, name in learned.items()}
-    return {policy: RunDirectory(folder) for policy, folder in folders.items() if not assets.is_expert(folder)}
-
-
-def _folder_of(policy: str) -> Path:
-    return assets.driver(policy) if policy in drivers.SHIPPED else Path(policy)
-
-
-def load_driver(policy: str, *, seed: int = 0) -> drivers.Network:
-    """Return a learned driver, to drive wherever observations come from.
-
-    `driver.act(observation, mask)` returns a meta-action, of several observations one each; `driver.senses` tells how
-    it must sense.
-
-    Args:
-        policy: a run directory, an expert's folder, or expert, rail, road-expert or road-rail; how it acts may stand
-            behind a colon, as in `find_driver`.
-        seed: of what it draws, if it samples.
-
-    Raises:
-        InputError: no such driver, or one that decides by more than an observation, such as `rule`.
-    """
-    driver = driver_of(find_driver(policy, Config()), Config(), seed)
-    if not isinstance(driver, drivers.Network):
-        learned = ("expert", *drivers.SHIPPED)
-        raise InputError(f"'{policy}' is not learned; take {', '.join(learned)}, or a folder")
-    return driver
 
 
 def evaluate(
@@ -313,7 +215,7 @@ def demonstrate(
         )
     check_file(out, overwrite=overwrite)
     require_drivable(world, episodes)
-    who = find_driver(driver, world)
+    who = roster.find_driver(driver, world)
     drivers.require_same_senses(who, world, f"driver '{driver}'")
     demonstrations = record(who, world, episodes=episodes, seed=seed, workers=workers, observer=observer)
     about = {"driver": driver, "seed": str(seed), "config": dumps(world)}
@@ -388,18 +290,6 @@ def require_drivable(world: Config, episodes: int = 1, who: Iterable[Who] = ("ke
         raise InputError(f"episodes must be at least 1; got {episodes}")
     for fixed, hands_off in itertools.product(varied.one_of_each(world), {drivers.hands_off(one) for one in who}):
         HighwayEnv(fixed, hands_off=hands_off, companions=deciders("keep", fixed, 0))
-
-
-def _require_folder(policy: Path) -> None:
-    if not policy.exists():
-        learned = set(drivers.SHIPPED) - set(assets.SHIPPED_EXPERTS)
-        either_way = [f"{name}:{mode}" for name, mode in itertools.product(learned, MODES)]
-        raise InputError(
-            f"policy '{policy}' is neither a run directory nor a driver"
-            f"{did_you_mean(str(policy), drivers.NAMES, also=either_way)}"
-        )
-    if not assets.is_expert(policy):
-        RunDirectory(policy)
 
 
 def describe(folder: Path, world: Config, command: str, **more: Any) -> None:

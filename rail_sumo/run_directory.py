@@ -22,7 +22,7 @@ from rail_sumo.assets import own_version
 from rail_sumo.config import Config
 from rail_sumo.config_file import dumps, first_difference, load
 from rail_sumo.errors import InputError
-from rail_sumo.files import whole_file, whole_folder
+from rail_sumo.files import is_taken, whole_file, whole_folder
 from rail_sumo.highway.observation import feature_names
 from rail_sumo.policy import PolicyParameters, Shape, Whitening
 
@@ -202,7 +202,7 @@ class RunDirectory:
 
 def require_new(path: Path) -> None:
     """Raise InputError if there is something where a new run is to be."""
-    if path.exists():
+    if is_taken(path):
         raise InputError(f"output folder '{path}' exists; go on with it by --resume, or choose another with --out")
 
 

@@ -31,6 +31,7 @@ CLOSED = """<net version="1.20">
 def lay_out(folder):
     """Everything a user can point at that is wrong."""
     (folder / "exists").mkdir()
+    (folder / "exists" / "notes.txt").touch()
     (folder / "file").touch()
     (folder / "cut.net.xml").write_text('<net version="1.20"><edge ')
     (folder / "cut.sumocfg").write_text("<configuration>")
@@ -271,6 +272,7 @@ def test_learning_curves_are_drawn_once(rail_sumo, tmp_path, a_run):
 def test_interrupted_training_says_how_to_go_on(rail_sumo, monkeypatch, tmp_path):
     def interrupted(chosen, out, **named):
         out.mkdir(parents=True)
+        (out / "config.toml").touch()
         raise KeyboardInterrupt
 
     monkeypatch.setattr(run, "train", interrupted)

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 import rail_sumo
-from rail_sumo import config, config_file, drivers, run
+from rail_sumo import config, config_file, drivers, roster
 from rail_sumo.config import Config
 from rail_sumo.errors import InputError, ObservationError
 from rail_sumo.highway.env import HighwayEnv
@@ -281,17 +281,17 @@ def test_who_has_not_learned_is_not_loaded():
 
 def test_a_driver_acts_as_its_name_says():
     world = config.Config()
-    trained, by_argmax, sampled = (run.find_driver(f"rail{mode}", world) for mode in ("", ":argmax", ":sampled"))
+    trained, by_argmax, sampled = (roster.find_driver(f"rail{mode}", world) for mode in ("", ":argmax", ":sampled"))
     assert (trained.samples, by_argmax.samples, sampled.samples) == (False, False, True)
-    assert run.find_driver("sumo:sampled", world) == "sumo:sampled"  # as a vehicle type of that name
+    assert roster.find_driver("sumo:sampled", world) == "sumo:sampled"  # as a vehicle type of that name
 
 
 @pytest.mark.parametrize("name", ["expert", "road-expert", "rule"])
 def test_who_acts_in_one_way_is_told_no_other(name):
     with pytest.raises(InputError, match=f"^'{name}' acts in one way; leave out ':sampled'$"):
-        run.find_driver(f"{name}:sampled", config.Config())
+        roster.find_driver(f"{name}:sampled", config.Config())
 
 
 def test_a_way_to_act_that_there_is_not():
     with pytest.raises(InputError, match=r"^policy 'rail:sample' is neither .*; did you mean 'rail:sampled'"):
-        run.find_driver("rail:sample", config.Config())
+        roster.find_driver("rail:sample", config.Config())

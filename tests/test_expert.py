@@ -4,7 +4,7 @@ import json
 import numpy as np
 import pytest
 
-from rail_sumo import assets, config, config_file, drivers, expert, rollout, run
+from rail_sumo import assets, config, config_file, drivers, expert, rollout, roster, run
 from rail_sumo.assets import sha256
 from rail_sumo.errors import InputError
 from rail_sumo.imitation import ppo
@@ -43,7 +43,7 @@ def test_the_manifest_names_every_file_and_how_it_was_made(trained):
 
 
 def test_the_shipped_recipe_is_the_world_that_everybody_else_drives_in_by_default():
-    assert run.world([str(assets.data_root() / "expert")]) == config.Config()
+    assert roster.world([str(assets.data_root() / "expert")]) == config.Config()
 
 
 def test_the_demonstrations_are_its_own_on_other_traffic_than_the_evaluation(trained):
@@ -79,9 +79,9 @@ def test_training_recording_and_evaluation_meet_traffic_of_their_own(tmp_path, m
 
 
 def test_its_folder_drives_under_its_path_and_differs_from_the_shipped_expert(trained):
-    world = run.world([str(trained)])
+    world = roster.world([str(trained)])
     assert world == SHORT
-    mine = run.find_driver(str(trained), world)
+    mine = roster.find_driver(str(trained), world)
     episodes, *_ = run.evaluate({"mine": mine, "keep": "keep"}, world, episodes=1, seed=1)
     speeds = episodes.set_index("policy")["speed_kmh"]
     assert speeds["mine"] > speeds["keep"]
@@ -118,7 +118,7 @@ def test_a_changed_file_is_refused(trained):
     with (trained / "policy.safetensors").open("ab") as file:
         file.write(b"x")
     with pytest.raises(InputError, match=r"policy.safetensors' is damaged or was changed"):
-        run.find_driver(str(trained), SHORT)
+        roster.find_driver(str(trained), SHORT)
 
 
 def test_an_existing_folder_is_refused_before_any_training(trained, monkeypatch):
@@ -198,7 +198,7 @@ def test_an_expert_that_begins_as_the_rule_driver_decides_as_it_does(tmp_path):
         ],
     ).changed(train={"trajectories": 1, "evaluation_episodes": 1})
     expert.train(begun, tmp_path / "mine", seed=3)
-    mine = run.find_driver(str(tmp_path / "mine"), begun)
+    mine = roster.find_driver(str(tmp_path / "mine"), begun)
     (driven, advice), (alone, by_expert) = (
         rollout.practise_advised(rollout.Task("rule", begun, seed=99, adviser=adviser))
         for adviser in (mine, drivers.load_expert(begun))

@@ -43,8 +43,17 @@ def test_what_stops_the_writing_leaves_no_folder(tmp_path):
     assert list(tmp_path.iterdir()) == []
 
 
-def test_an_empty_folder_in_the_way_is_refused_too(tmp_path):
+def test_an_empty_folder_is_nothing_in_the_way(tmp_path):
     (tmp_path / "run").mkdir()
+    with whole_folder(tmp_path / "run") as partial:
+        (partial / "table.csv").touch()
+        assert list((tmp_path / "run").glob("*.csv")) == []
+    assert [path.relative_to(tmp_path).as_posix() for path in tmp_path.rglob("*")] == ["run", "run/table.csv"]
+
+
+def test_a_folder_that_holds_something_is_refused(tmp_path):
+    (tmp_path / "run").mkdir()
+    (tmp_path / "run" / ".mine").touch()
     with pytest.raises(InputError, match="exists; choose another"), whole_folder(tmp_path / "run"):
         pytest.fail("there was a place to write to")
 

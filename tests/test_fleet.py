@@ -12,7 +12,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from sketch import cut_road
 
-from rail_sumo import config_file, rollout, run
+from rail_sumo import config_file, rollout, roster
 from rail_sumo.errors import InputError
 from rail_sumo.highway import fleet
 from rail_sumo.highway.agent import Agent
@@ -78,7 +78,7 @@ def test_a_fleet_of_one_drives_as_the_environment_has_it_to_the_byte(monkeypatch
     chosen, entered_s = env.host_name, libsumo.simulation.getTime()
     env.close()
     world = config_file.changed(world, [f'traffic.host="{chosen}"'])
-    who = run.find_driver(name, world)
+    who = roster.find_driver(name, world)
     seen = world.seen_with(getattr(who, "senses", None))
     alone = HighwayEnv(seen)
     observation, _ = alone.reset(seed=SEED)

@@ -5,7 +5,7 @@ import pandas as pd
 import pytest
 from driving import assert_same
 
-from rail_sumo import assets, config_file, replay, run
+from rail_sumo import assets, config_file, replay, roster
 from rail_sumo.errors import InputError
 from rail_sumo.pictures import page
 from rail_sumo.rollout import EVALUATION, Task, drive, traffic_seed
@@ -29,8 +29,8 @@ def shown(monkeypatch):
 
 def test_a_replay_is_of_the_very_episode_that_the_table_tells_of(tmp_path, shown):
     world = config_file.load(None, BRIEF)
-    who = {name: run.find_driver(name, world) for name in ("rail", "random")}
-    driven = replay.write(who, world, tmp_path / "two.html", seed=3, episode=1, judges=run.judges_of(who))
+    who = {name: roster.find_driver(name, world) for name in ("rail", "random")}
+    driven = replay.write(who, world, tmp_path / "two.html", seed=3, episode=1, judges=roster.judges_of(who))
     for name, trajectory in zip(who, driven, strict=True):
         assert_same(trajectory, drive(Task(who[name], world, traffic_seed(3, EVALUATION, 1))))
     [(_, films, named)] = shown
@@ -103,7 +103,7 @@ def test_eval_writes_them_beside_its_tables(rail_sumo, tmp_path):
 
 def test_a_driver_may_go_by_any_name_on_the_page(tmp_path, shown):
     world = config_file.load(None, BRIEF)
-    replay.write({"my driver": run.find_driver("rail", world)}, world, tmp_path / "page.html", seed=0)
+    replay.write({"my driver": roster.find_driver("rail", world)}, world, tmp_path / "page.html", seed=0)
     assert shown[0][1][0].name == "my driver"
 
 

@@ -8,7 +8,7 @@ import numpy as np
 import pandas as pd
 import pytest
 
-from rail_sumo import assets, config_file, run
+from rail_sumo import assets, config_file, roster, run
 from rail_sumo.errors import InputError
 from rail_sumo.pictures import report_page
 from rail_sumo.tables import report
@@ -22,7 +22,7 @@ def evaluation(tmp_path_factory):
     """An evaluation's folder, one of its drivers with a name that is no innocent HTML."""
     folder = tmp_path_factory.mktemp("evaluations") / "mine"
     world = config_file.load(None, BRIEF)
-    who = {"expert": run.find_driver("expert", world), "<b>&random": "random"}
+    who = {"expert": roster.find_driver("expert", world), "<b>&random": "random"}
     tables = run.evaluate(who, world, episodes=3, seed=0)
     tables.write(folder)
     run.describe(folder, world, "rail-sumo eval expert '<b>&random'", seed=0)

@@ -7,6 +7,7 @@ import os
 import re
 import shutil
 import signal
+from functools import partial
 from pathlib import Path
 
 import numpy as np
@@ -15,7 +16,7 @@ import pytest
 from safetensors import safe_open
 from safetensors.numpy import load_file, save_file
 
-from rail_sumo import assets, config, config_file, drivers, learners, rollout, run, training
+from rail_sumo import assets, config, config_file, drivers, learners, rollout, roster, run, training
 from rail_sumo.errors import InputError, NotBegun
 from rail_sumo.highway.reward import total_reward
 from rail_sumo.highway.simulation import HOST
@@ -299,15 +300,15 @@ def test_a_run_cannot_be_resumed_for_fewer_iterations_than_it_has(small, trained
 
 
 def test_a_run_is_evaluated_in_its_own_world_unless_told_otherwise(trained, small):
-    assert run.world(["rule", str(trained)]) == training.resolved(small)
-    assert run.world([str(trained)], ["traffic.vehicles=3"]).traffic.vehicles == 3
-    assert run.world(["rule"]) == config.Config()
+    assert roster.world(["rule", str(trained)]) == training.resolved(small)
+    assert roster.world([str(trained)], ["traffic.vehicles=3"]).traffic.vehicles == 3
+    assert roster.world(["rule"]) == config.Config()
 
 
 def test_a_policy_drives_anywhere_with_its_own_senses_unless_others_are_asked_for(trained):
-    assert run.find_driver(str(trained), config.Config()).senses.lidar.n_rays == N_FEATURES // 2
+    assert roster.find_driver(str(trained), config.Config()).senses.lidar.n_rays == N_FEATURES // 2
     with pytest.raises(InputError, match=r"was trained with lidar\.n_rays = 4, not 24; leave \[lidar\] and"):
-        run.world(["keep", str(trained)], ["lidar.n_rays=24"])
+        roster.world(["keep", str(trained)], ["lidar.n_rays=24"])
 
 
 def test_the_manifest_tells_how_a_run_was_made(trained):
@@ -338,7 +339,7 @@ def test_a_run_knows_its_files_from_any_folder(small, driven, tmp_path, monkeypa
     run.train(own, Path("run"), seed=1)
     run.train(own, Path("run"), seed=1, resume=True)
     monkeypatch.chdir(tmp_path / "elsewhere")
-    world = run.world(["../there/run"])
+    world = roster.world(["../there/run"])
     assert world.varied.networks == ("ring5",)
     training.inputs_of(world)  # all are found
     run.train(world, Path("../there/run"), seed=1, resume=True)
@@ -349,10 +350,12 @@ def test_a_run_knows_its_files_from_any_folder(small, driven, tmp_path, monkeypa
 def test_a_truncated_file_is_named_in_one_line(trained, small, file, kept):
     path = trained / file
     path.write_bytes(path.read_bytes()[:kept])
+    resume = partial(run.train, small, trained, seed=1, resume=True)
+    read = resume if file == CHECKPOINT else partial(roster.find_driver, str(trained), small)
     with pytest.raises(
         InputError, match=rf"'.*{file}' is truncated or damaged \(.*\); restore it or train again"
     ) as error:
-        run.train(small, trained, seed=1, resume=True) if file == CHECKPOINT else run.find_driver(str(trained), small)
+        read()
     assert "\n" not in str(error.value)
 
 
@@ -360,7 +363,7 @@ def test_a_truncated_file_is_named_in_one_line(trained, small, file, kept):
 def test_a_missing_file_is_named_in_one_line(trained, small, file):
     (trained / file).unlink()
     with pytest.raises(InputError, match=f"is not a .*run directory: it has no {file}"):
-        run.find_driver(str(trained), small)
+        roster.find_driver(str(trained), small)
 
 
 def test_a_policy_of_another_shape_is_damaged(trained, small):
@@ -370,7 +373,7 @@ def test_a_policy_of_another_shape_is_damaged(trained, small):
     tensors = load_file(path)
     save_file(tensors | {"theta": tensors["theta"][:-1]}, path, metadata=about)
     with pytest.raises(InputError, match=r"damaged \(ValueError: theta must have shape"):
-        run.find_driver(str(trained), small)
+        roster.find_driver(str(trained), small)
 
 
 def test_an_existing_folder_is_refused_before_any_work(small, driven, tmp_path):
@@ -631,13 +634,13 @@ def test_how_a_policy_acts_is_kept_in_its_run_and_may_be_changed_for_a_look(smal
         for masked in (False, True):
             folder = tmp_path / f"{learner}-{masked}"
             run.train(small.changed(train={"learner": learner}, policy={"masked": masked}), folder, seed=1)
-            kept = run.find_driver(str(folder), small)
+            kept = roster.find_driver(str(folder), small)
             assert (kept.samples, kept.masked) == (samples, masked)
             assert RunDirectory(folder).config.policy.mode == ("sampled" if samples else "argmax")
             for mode in ("argmax", "sampled"):
-                assert run.find_driver(f"{folder}:{mode}", small).samples == (mode == "sampled")
-                assert set(run.judges_of([f"{folder}:{mode}"])) == {f"{folder}:{mode}"}
-                assert run.world([f"{folder}:{mode}"]).train.learner == learner
+                assert roster.find_driver(f"{folder}:{mode}", small).samples == (mode == "sampled")
+                assert set(roster.judges_of([f"{folder}:{mode}"])) == {f"{folder}:{mode}"}
+                assert roster.world([f"{folder}:{mode}"]).train.learner == learner
 
 
 def test_a_policy_from_before_it_said_how_it_acts_acts_as_it_did(trained, small):
@@ -647,7 +650,7 @@ def test_a_policy_from_before_it_said_how_it_acts_acts_as_it_did(trained, small)
     for name in ("samples", "masked"):
         del about[name]
     save_file(load_file(path), path, metadata={"rail_sumo": json.dumps(about)})
-    kept = run.find_driver(str(trained), small)
+    kept = roster.find_driver(str(trained), small)
     assert (kept.samples, kept.masked) == (False, False)
 
 

@@ -4,7 +4,7 @@ import shutil
 
 import pytest
 
-from rail_sumo import assets, config_file, drivers, run, training
+from rail_sumo import assets, config_file, drivers, roster, run, training
 from rail_sumo.errors import InputError
 from rail_sumo.policy import PolicyParameters
 
@@ -21,7 +21,7 @@ def test_it_drives_by_name_with_the_senses_of_its_recipe_and_without_contact(nam
             *("episode.course_m=inf", "episode.duration_s=100"),
         ],
     )
-    driver = run.find_driver(name, world)
+    driver = roster.find_driver(name, world)
     assert driver.senses == config_file.load(assets.driver(name) / RECIPE).senses
     episodes, *_ = run.evaluate({name: driver, "keep": "keep"}, world, episodes=3, seed=7)
     assert (episodes["collisions"] + episodes["struck"] == 0).all()
@@ -30,8 +30,8 @@ def test_it_drives_by_name_with_the_senses_of_its_recipe_and_without_contact(nam
 
 
 def test_drivers_of_different_senses_are_compared_on_the_same_traffic():
-    world = run.world(["rail", "road-rail"], ["episode.duration_s=20"])
-    found = {name: run.find_driver(name, world) for name in ("rail", "road-rail")}
+    world = roster.world(["rail", "road-rail"], ["episode.duration_s=20"])
+    found = {name: roster.find_driver(name, world) for name in ("rail", "road-rail")}
     assert found["rail"].senses != found["road-rail"].senses
     episodes, *_ = run.evaluate(found, world, episodes=2, seed=7)
     first, second = (episodes[episodes["policy"] == name]["seed"].tolist() for name in found)
@@ -40,10 +40,10 @@ def test_drivers_of_different_senses_are_compared_on_the_same_traffic():
 
 def test_the_learned_act_as_they_were_trained_unless_told():
     world = config_file.load()
-    rail = run.find_driver("road-rail", world)
+    rail = roster.find_driver("road-rail", world)
     assert isinstance(rail, PolicyParameters)
     assert (rail.samples, rail.masked) == (False, True)
-    assert run.find_driver("road-rail:sampled", world).samples
+    assert roster.find_driver("road-rail:sampled", world).samples
 
 
 def test_the_road_driver_learned_from_the_road_experts_demonstrations():

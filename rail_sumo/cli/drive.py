@@ -4,7 +4,7 @@ import math
 import shutil
 import sys
 from collections.abc import Mapping
-from functools import partial
+from contextlib import nullcontext
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
@@ -61,40 +61,32 @@ def evaluate(
 
     The world is that of the first run directory among the policies, or the default, changed by the options.
     """
-    from rail_sumo import replay, run
+    from rail_sumo import replay, roster, run
 
     _require_place(out, {"--fcd": (FCD, fcd), "--replay": (REPLAYS, bool(replays))}, overwrite=overwrite)
     n_workers = workers_of(workers)
     _require_each_once(policies)
-    world = run.world(policies, overrides_of(network, routes, overrides))
-    who = {policy: run.find_driver(policy, world) for policy in policies}
+    world = roster.world(policies, overrides_of(network, routes, overrides))
+    who = {policy: roster.find_driver(policy, world) for policy in policies}
 
     def keep(tables: "Tables", whole: Path, **more: str) -> None:
         tables.save(whole)
         run.describe(whole, world, typed(), seed=seed, **more)
 
     try:
-        with progress_bars() as bars:
-            drive = partial(
-                run.evaluate,
+        with progress_bars() as bars, files.whole_folder(out, overwrite=overwrite) if out else nullcontext() as whole:
+            tables = run.evaluate(
                 who,
                 world,
                 episodes=episodes,
                 seed=seed,
                 workers=n_workers,
                 observer=bars,
+                fcd=whole / FCD if whole and fcd else None,
                 reference=reference,
             )
-            if out is None:
-                tables = drive()
-            elif fcd:
-                with files.whole_folder(out, overwrite=overwrite) as whole:
-                    tables = drive(fcd=whole / FCD)
-                    keep(tables, whole)
-            else:
-                tables = drive()
-                with files.whole_folder(out, overwrite=overwrite) as whole:
-                    keep(tables, whole)
+            if whole:
+                keep(tables, whole)
     except run.Interrupted as stop:
         after = f"after {len(stop.tables.episodes)} of {stop.episodes} episodes"
         if out:
@@ -111,7 +103,7 @@ def evaluate(
         _forget(out, REPLAYS)
         try:
             with files.whole_folder(out / REPLAYS) as whole:
-                judges = run.judges_of(policies)
+                judges = roster.judges_of(policies)
                 replay.write_most_telling(tables.episodes, who, judges, world, whole, seed=seed, number=replays)
         except KeyboardInterrupt:
             print(f"rail-sumo: interrupted; the tables are in {out}, without pages to watch", file=sys.stderr)
@@ -163,7 +155,7 @@ def replay(
     overwrite: Overwrite = False,
 ) -> None:
     """Watch an episode of an evaluation, or any SUMO run, in a browser: one file, which needs nothing else."""
-    from rail_sumo import replay, run
+    from rail_sumo import replay, roster, run
 
     require_page(out, "a replay")
     recordings = [one for one in what if Path(one).is_file()]
@@ -192,9 +184,9 @@ def replay(
             if part:
                 raise InputError(f"'{one}' holds the floating-car data of several episodes; name one, such as '{part}'")
         _require_each_once(what)
-        world = run.world(what, overrides_of(network, routes, overrides))
-        who = {policy: run.find_driver(policy, world) for policy in what}
-        replay.write(who, world, out, seed=seed, episode=episode, judges=run.judges_of(what), overwrite=overwrite)
+        world = roster.world(what, overrides_of(network, routes, overrides))
+        who = {policy: roster.find_driver(policy, world) for policy in what}
+        replay.write(who, world, out, seed=seed, episode=episode, judges=roster.judges_of(what), overwrite=overwrite)
     print(f"replay in {out}; open it in a browser")
 
 

@@ -23,6 +23,7 @@ from rail_sumo.cli.options import (
     workers_of,
 )
 from rail_sumo.cli.progress import progress_bars, show
+from rail_sumo.files import is_taken
 
 
 @app.command(rich_help_panel="Learn")
@@ -54,7 +55,7 @@ def train(
             observer = Events(bars, out) if events else bars
             tables = run.train(chosen, out, seed=seed or 0, workers=n_workers, resume=resume, observer=observer)
     except KeyboardInterrupt:
-        hint = f"; go on with: rail-sumo train --out {shlex.quote(str(out))} --resume" if out.exists() else ""
+        hint = f"; go on with: rail-sumo train --out {shlex.quote(str(out))} --resume" if is_taken(out) else ""
         print(f"rail-sumo: interrupted{hint}", file=sys.stderr)
         raise typer.Exit(130) from None
     show(tables, out)

@@ -17,7 +17,7 @@ from typing import Any
 import numpy as np
 import pandas as pd
 
-from rail_sumo import drivers, learners, rollout, run, training
+from rail_sumo import drivers, learners, rollout, roster, run, training
 from rail_sumo.config import Config
 from rail_sumo.config_file import dumps, validate
 from rail_sumo.errors import InputError
@@ -264,7 +264,7 @@ def _driven(work: _Work) -> pd.DataFrame:
 
 def _episodes(driver: Who, world: Config, seed: int, numbers: range) -> list[Trajectory]:
     if isinstance(driver, str):
-        driver = run.find_driver(driver, world)
+        driver = roster.find_driver(driver, world)
     return [rollout.drive(Task(driver, world, traffic_seed(seed, EVALUATION, number))) for number in numbers]
 
 

@@ -21,7 +21,7 @@ from urllib.parse import quote
 import pandas as pd
 from rich.table import Table
 
-from rail_sumo import assets, config_file, drivers, rollout, run, training
+from rail_sumo import assets, config_file, drivers, rollout, roster, run, training
 from rail_sumo.config import Config, flat
 from rail_sumo.config_file import first_difference
 from rail_sumo.errors import InputError
@@ -174,7 +174,7 @@ class Sweep:
         for setting in self.settings:
             world = self._world(setting)
             who: dict[str, Who | Instead] = {
-                name: ACC if name == ACC else run.find_driver(name, world)
+                name: ACC if name == ACC else roster.find_driver(name, world)
                 for name in self.drivers
                 if name != AS_THEY_ARE
             }

@@ -1,0 +1,120 @@
+"""Who drives under a name: a driver of ours, an expert's folder, or what a run directory learned."""
+
+import itertools
+from collections.abc import Iterable
+from pathlib import Path
+
+from rail_sumo import assets, config_file, drivers
+from rail_sumo.config import Config
+from rail_sumo.errors import InputError, did_you_mean
+from rail_sumo.policy import ARGMAX, SAMPLED, PolicyParameters
+from rail_sumo.rollout import Who, driver_of
+from rail_sumo.run_directory import CONFIG, RunDirectory
+from rail_sumo.tables import report
+
+MODES = (ARGMAX, SAMPLED)
+"""How a learned policy may act, as `runs/first:sampled`; without a colon as it was trained."""
+
+
+def world(policies: Iterable[str], overrides: Iterable[str] = ()) -> Config:
+    """Return the world to evaluate in: the first run directory's among the policies, with `overrides` on top.
+
+    Drivers known by name alone drive in the default world.
+
+    Raises:
+        InputError: a policy is neither, or what `config_file.load` raises.
+    """
+    named = [_name_and_mode(policy)[0] for policy in policies]
+    folders = [Path(name) for name in named if not drivers.is_name(name)]
+    for folder in folders:
+        _require_folder(folder)
+    chosen = config_file.load(folders[0] / CONFIG if folders else None, overrides)
+    if any(override.startswith(("lidar.", "observation.")) for override in overrides):
+        for policy in policies:
+            drivers.require_same_senses(find_driver(policy, chosen), chosen, f"policy '{policy}'")
+    return chosen
+
+
+def find_driver(policy: str, world: Config) -> Who:
+    """Return who drives under the name: a driver of ours, an expert's folder, or what a run directory learned.
+
+    What was learned acts as it was trained, or as the name says behind a colon: `rail:sampled`, `runs/first:argmax`.
+
+    Args:
+        policy: the name.
+        world: where it is to drive.
+
+    Raises:
+        InputError: it is neither, damaged, or learned on another observation than the world's; a colon behind who acts
+            in one way.
+    """
+    name, mode = _name_and_mode(policy)
+    who = _find(name, world)
+    if not mode:
+        return who
+    if not isinstance(who, PolicyParameters):
+        raise InputError(f"'{name}' acts in one way; leave out ':{mode}'")
+    return who.acting(mode)
+
+
+def _name_and_mode(policy: str) -> tuple[str, str]:
+    """Return a policy's name or folder, and how it is to act; "" for as it was trained."""
+    name, _, mode = policy.rpartition(":")
+    return (name, mode) if mode in MODES and not drivers.is_name(policy) else (policy, "")
+
+
+def _find(policy: str, world: Config) -> Who:
+    if policy == report.EXPERT:  # read once here, not by a worker in every episode
+        return drivers.load_expert(world)
+    if drivers.is_name(policy) and policy not in drivers.SHIPPED:
+        return policy
+    folder = _folder_of(policy)
+    if assets.is_expert(folder):
+        return drivers.load_expert(world, folder)
+    _require_folder(folder)
+    return RunDirectory(folder).policy()
+
+
+def judges_of(policies: Iterable[str]) -> dict[str, RunDirectory]:
+    """Return the runs of those policies that were learned, which may have a judge; see `learners.verdicts`."""
+    named = {policy: _name_and_mode(policy)[0] for policy in policies}
+    learned = {policy: name for policy, name in named.items() if name in drivers.SHIPPED or not drivers.is_name(name)}
+    folders = {policy: _folder_of(name) for policy, name in learned.items()}
+    return {policy: RunDirectory(folder) for policy, folder in folders.items() if not assets.is_expert(folder)}
+
+
+def _folder_of(policy: str) -> Path:
+    return assets.driver(policy) if policy in drivers.SHIPPED else Path(policy)
+
+
+def load_driver(policy: str, *, seed: int = 0) -> drivers.Network:
+    """Return a learned driver, to drive wherever observations come from.
+
+    `driver.act(observation, mask)` returns a meta-action, of several observations one each; `driver.senses` tells how
+    it must sense.
+
+    Args:
+        policy: a run directory, an expert's folder, or expert, rail, road-expert or road-rail; how it acts may stand
+            behind a colon, as in `find_driver`.
+        seed: of what it draws, if it samples.
+
+    Raises:
+        InputError: no such driver, or one that decides by more than an observation, such as `rule`.
+    """
+    driver = driver_of(find_driver(policy, Config()), Config(), seed)
+    if not isinstance(driver, drivers.Network):
+        learned = ("expert", *drivers.SHIPPED)
+        raise InputError(f"'{policy}' is not learned; take {', '.join(learned)}, or a folder")
+    return driver
+
+
+def _require_folder(policy: Path) -> None:
+    if not policy.exists():
+        learned = set(drivers.SHIPPED) - set(assets.SHIPPED_EXPERTS)
+        either_way = [f"{name}:{mode}" for name, mode in itertools.product(learned, MODES)]
+        raise InputError(
+            f"policy '{policy}' is neither a run directory nor a driver"
+            f"{did_you_mean(str(policy), drivers.NAMES, also=either_way)}"
+        )
+    if not assets.is_expert(policy):
+        RunDirectory(policy)
