@@ -133,6 +133,52 @@ def test_the_page_fetches_nothing_and_names_what_differs_from_the_default(evalua
     assert page.count("<section") == 3
 
 
+def driven_along(x_m, y_m, policies=("rule",)):
+    """Decisions along a way, each a lane change, to either side in turns."""
+    way = {"distance_m": np.hypot(np.gradient(x_m), np.gradient(y_m)).cumsum(), "x_m": x_m, "y_m": y_m}
+    sides = np.where(np.arange(len(x_m)) % 2, "left", "right")
+    each = {"time_s": np.arange(len(x_m)) * 1.0, "speed_kmh": 80.0, "asked": sides, "carried_out": sides}
+    return pd.concat([pd.DataFrame({"policy": name, "episode": 0, **way, **each}) for name in policies])
+
+
+TURN = np.linspace(0.0, np.pi / 2, 50)
+STRAIGHT = np.linspace(0.0, 1000.0, 50), np.linspace(0.0, 2000.0, 50)  # not along an axis, and 20 m wide below
+STRAIGHT[0][::2] += 20.0
+
+
+@pytest.mark.parametrize(
+    ("way", "networks", "has_map"),
+    [
+        ((500.0 * np.cos(TURN), 500.0 * np.sin(TURN)), ["ring5"] * 2, True),
+        (STRAIGHT, ["highway5"] * 2, False),  # it would be a line
+        ((500.0 * np.cos(TURN), 500.0 * np.sin(TURN)), ["ring5", "onramp"], False),  # two roads on one map
+    ],
+)
+def test_lane_changes_are_drawn_on_a_map_where_there_is_one_road_that_is_no_line(
+    evaluation, tmp_path, way, networks, has_map
+):
+    _, tables = evaluation
+    row = {name: tables.episodes[name].iloc[0] for name in tables.episodes} | {"policy": "rule"}
+    episodes = report.episodes([row | {"episode": k, "network": name} for k, name in enumerate(networks)])
+    report.write(tmp_path / "mine", episodes=episodes, summary=report.summary(episodes))
+    driven_along(*way).to_parquet(tmp_path / "mine" / report.DECISIONS)
+    report_page.write([tmp_path / "mine"], tmp_path / "page.html")
+    page = (tmp_path / "page.html").read_text()
+    assert "Where lane changes were begun" in page
+    assert ("The same lane changes on the network" in page) == has_map
+
+
+def test_a_map_shows_every_lane_change_of_every_policy_where_it_began():
+    decisions = driven_along(500.0 * np.cos(TURN), 500.0 * np.sin(TURN), policies=list("abcd"))
+    drawn = report_page._map(decisions, decisions)
+    maps = [axes for axes in drawn.axes if axes.lines]
+    assert [axes.get_title(loc="left") for axes in maps] == list("abcd")
+    for axes in maps:
+        _, left, right = axes.lines
+        assert left.get_xdata() == pytest.approx(500.0 * np.cos(TURN)[1::2])
+        assert right.get_ydata() == pytest.approx(500.0 * np.sin(TURN)[::2])
+
+
 def test_a_sweep_and_a_study_show_their_tables_and_figures(tmp_path):
     sweep, study = tmp_path / "sweep", tmp_path / "study"
     (sweep / "figures").mkdir(parents=True)

@@ -3,6 +3,7 @@
 import base64
 import html
 import io
+import itertools
 import json
 import math
 from collections.abc import Iterator, Mapping, Sequence
@@ -39,11 +40,22 @@ POINTS = {
     "lane_changes": "lane changes",
     "refused_decisions": "refused decisions",
     "hardest_braking_mps2": "hardest braking, m/s²",
-    "min_ttc_s": "smallest time to collision, s (60 and more at 60)",
+    "min_ttc_s": "smallest time to collision, s",
 }
 """What is drawn of every episode."""
 FARTHEST_TTC_S = 60.0
 """Times to collision beyond this are drawn here: nobody was near."""
+WORDS = '<td class="words">'
+"""How a cell begins that holds no number."""
+POINTS_TOLD = (
+    f"Every episode is a point; the line is the mean. Times to collision above {FARTHEST_TTC_S:g} s are drawn there."
+)
+SIDES = {"left": "#0072b2", "right": "#d55e00"}
+"""The colours of lane changes."""
+STRIP_M = 50.0
+"""What was driven within a straight strip as wide as this is not drawn on a map: it would be a line."""
+WIDE = 0.35
+"""Maps that are lower than this, of their width, lie under one another."""
 ACTIONS = [action.name.lower() for action in MetaAction]
 
 
@@ -106,9 +118,10 @@ def _about(folder: Path) -> Iterator[str]:
     """Yield the parts of a folder's section, as HTML."""
     yield from _origin(folder)
     if (folder / SUMMARY).is_file() and (folder / EPISODES).is_file():
-        yield from _evaluation(_read(folder / EPISODES), _read(folder / SUMMARY))
-    if (folder / DECISIONS).is_file():
-        yield from _decisions(_read(folder / DECISIONS))
+        episodes = _read(folder / EPISODES)
+        yield from _evaluation(episodes, _read(folder / SUMMARY))
+        if (folder / DECISIONS).is_file():
+            yield from _decisions(_read(folder / DECISIONS), n_networks=episodes["network"].nunique())
     if (folder / PROGRESS).is_file() and (folder / CLONE).is_file() and len(_read(folder / PROGRESS)):
         yield _picture(plot.learning_curves([folder]), "How training went, in training traffic.", "Training")
     if (folder / CELLS).is_file():
@@ -155,7 +168,7 @@ def _evaluation(episodes: pd.DataFrame, summary: pd.DataFrame) -> Iterator[str]:
         f" Of {' and '.join(CONTACTS)}: in how many episodes there was one, with the 95 % interval of that share."
     )
     yield "<h3>Evaluation</h3>" + _table(pd.DataFrame(rows).astype(object).fillna(""), caption)
-    yield _picture(_points(episodes, policies), "Every episode is a point; the line is the mean.", "Episodes")
+    yield _picture(_points(episodes, policies), POINTS_TOLD, "Episodes")
     yield "<details><summary>All episodes</summary>" + _table(episodes) + "</details>"
 
 
@@ -199,6 +212,8 @@ def _points(episodes: pd.DataFrame, policies: Sequence[str]) -> "Figure":
             )
             if len(values):
                 axes.plot([values.mean()] * 2, [at - 0.35, at + 0.35], color="#d55e00", linewidth=2)
+        if episodes[metric].nunique() == 1:
+            axes.set_xlim(*(episodes[metric].iloc[0] + np.array([-1.0, 1.0])))
         axes.set_yticks(range(len(policies)), policies)
         axes.set_ylim(len(policies) - 0.5, -0.5)
         axes.set_xlabel(label)
@@ -207,7 +222,7 @@ def _points(episodes: pd.DataFrame, policies: Sequence[str]) -> "Figure":
     return figure
 
 
-def _decisions(decisions: pd.DataFrame) -> Iterator[str]:
+def _decisions(decisions: pd.DataFrame, *, n_networks: int) -> Iterator[str]:
     if decisions.empty:
         return
     shares = {
@@ -227,6 +242,9 @@ def _decisions(decisions: pd.DataFrame) -> Iterator[str]:
             "left upwards, to the right downwards. Those that were taken back are among them."
         )
         yield _picture(_where(changes, decisions), told)
+        if n_networks == 1 and not _is_straight(decisions):
+            told = "The same lane changes on the network's map; grey is the way that was driven."
+            yield _picture(_map(changes, decisions), told)
 
 
 def _where(changes: pd.DataFrame, decisions: pd.DataFrame) -> "Figure":
@@ -237,10 +255,12 @@ def _where(changes: pd.DataFrame, decisions: pd.DataFrame) -> "Figure":
     figure = Figure(figsize=(9.0, 0.6 + 1.3 * len(policies)), layout="constrained")
     width_m = max(decisions["distance_m"].max() / 40, 1.0)
     edges = np.arange(41) * width_m
-    for axes, policy in zip(figure.subplots(len(policies), sharex=True, squeeze=False).flat, policies, strict=True):
+    for axes, policy in zip(
+        figure.subplots(len(policies), sharex=True, sharey=True, squeeze=False).flat, policies, strict=True
+    ):
         own = changes[changes["policy"] == policy]
         n_episodes = decisions.loc[decisions["policy"] == policy, "episode"].nunique()
-        for side, sign, colour in (("left", 1, "#0072b2"), ("right", -1, "#d55e00")):
+        for (side, colour), sign in zip(SIDES.items(), (1, -1), strict=True):
             counts, _ = np.histogram(own.loc[own["carried_out"] == side, "distance_m"], edges)
             heights = sign * counts / n_episodes / (width_m / 1000)
             axes.bar(edges[:-1] / 1000, heights, width_m / 1000, align="edge", color=colour, label=side)
@@ -249,6 +269,42 @@ def _where(changes: pd.DataFrame, decisions: pd.DataFrame) -> "Figure":
         axes.set_ylabel("per km")
         axes.spines[["top", "right"]].set_visible(False)
     figure.axes[-1].set_xlabel("driven, km")
+    return figure
+
+
+def _is_straight(decisions: pd.DataFrame) -> bool:
+    """Return whether all was driven within a strip of `STRIP_M`, whichever way it points."""
+    place_m = decisions[["x_m", "y_m"]].to_numpy()
+    _, _, (_, across) = np.linalg.svd(place_m - place_m.mean(axis=0), full_matrices=False)  # principal directions
+    return bool(np.ptp(place_m @ across) <= STRIP_M)
+
+
+def _map(changes: pd.DataFrame, decisions: pd.DataFrame) -> "Figure":
+    """Draw where on the network lane changes began, seen from above, a map for each policy."""
+    from matplotlib.figure import Figure
+
+    policies = list(decisions["policy"].unique())
+    width_m, height_m = np.ptp(decisions[["x_m", "y_m"]].to_numpy(), axis=0)
+    n_columns = 1 if height_m < WIDE * width_m else min(len(policies), 3)
+    n_rows = math.ceil(len(policies) / n_columns)
+    height = min(max(9.0 / n_columns * height_m / width_m, 1.0), 6.0) + 0.6  # of one map, in inches
+    figure = Figure(figsize=(9.0, n_rows * height), layout="constrained")
+    grid = figure.subplots(n_rows, n_columns, sharex=True, sharey=True, squeeze=False).flat
+    for axes, policy in itertools.zip_longest(grid, policies):
+        if policy is None:
+            axes.set_axis_off()
+            continue
+        driven = decisions[decisions["policy"] == policy]
+        axes.plot(driven["x_m"], driven["y_m"], ".", markersize=1, color="0.75", rasterized=True)
+        for (side, colour), marker in zip(SIDES.items(), "^v", strict=True):
+            own = changes[(changes["policy"] == policy) & (changes["carried_out"] == side)]
+            axes.plot(own["x_m"], own["y_m"], marker, markersize=4, alpha=0.6, color=colour, label=side)
+        axes.set_aspect("equal")
+        axes.set_title(policy, loc="left", fontsize="medium")
+        axes.spines[["top", "right"]].set_visible(False)
+    figure.legend(*figure.axes[0].get_legend_handles_labels(), loc="outside upper right", ncols=2, frameon=False)
+    figure.supxlabel("x, m", fontsize="small")
+    figure.supylabel("y, m", fontsize="small")
     return figure
 
 
@@ -320,8 +376,13 @@ def _read(file: Path) -> pd.DataFrame:
 
 def _table(table: pd.DataFrame, caption: str = "", *, is_sortable: bool = True) -> str:
     """Return a table as HTML; numbers with four digits, and sortable by their full value."""
-    heads = "".join(f'<th scope="col">{html.escape(str(name))}</th>' for name in table)
-    rows = "".join(f"<tr>{''.join(map(_cell, row))}</tr>\n" for row in table.itertuples(index=False, name=None))
+    cells = [[_cell(value) for value in row] for row in table.itertuples(index=False, name=None)]
+    holds_words = [bool(cells) and cells[0][column].startswith(WORDS) for column in range(table.shape[1])]
+    heads = "".join(
+        f'<th scope="col"{" class=words" if is_left else ""}>{html.escape(str(name))}</th>'
+        for name, is_left in zip(table, holds_words, strict=True)
+    )
+    rows = "".join(f"<tr>{''.join(row)}</tr>\n" for row in cells)
     below = f"<caption>{html.escape(caption)}</caption>" if caption else ""
     kind = ' class="sortable"' if is_sortable else ""
     return f'<div class="wide"><table{kind}>{below}<thead><tr>{heads}</tr></thead><tbody>\n{rows}</tbody></table></div>'
@@ -339,7 +400,7 @@ def _cell(value: Any) -> str:
     if isinstance(value, float):
         return "<td></td>" if math.isnan(value) else f'<td data-value="{value!r}">{value:.4g}</td>'
     text = html.escape(str(value))
-    return f"<td>{text}</td>" if isinstance(value, int) else f'<td class="words">{text}</td>'
+    return f"<td>{text}</td>" if isinstance(value, int) else f"{WORDS}{text}</td>"
 
 
 def _within(low: float, high: float) -> str:
