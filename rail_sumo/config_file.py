@@ -12,9 +12,10 @@ from pydantic import ValidationError
 
 from rail_sumo.config import Config
 from rail_sumo.errors import InputError, did_you_mean
+from rail_sumo.files import AnyPath
 
 
-def load(path: Path | None = None, overrides: Iterable[str] = ()) -> Config:
+def load(path: AnyPath | None = None, overrides: Iterable[str] = ()) -> Config:
     """Read a TOML file (all defaults without one) and apply `section.key=value` overrides.
 
     Values of overrides are read as TOML, bare words as strings.
@@ -25,7 +26,7 @@ def load(path: Path | None = None, overrides: Iterable[str] = ()) -> Config:
     tree: dict[str, Any] = {}
     if path is not None:
         try:
-            tree = tomllib.loads(path.read_text(encoding="utf-8"))
+            tree = tomllib.loads(Path(path).read_text(encoding="utf-8"))
         except OSError as error:
             raise InputError(
                 f"cannot read configuration '{path}': {error.strerror} (current folder: {Path.cwd()})"
@@ -45,7 +46,7 @@ def changed(config: Config, overrides: Iterable[str]) -> Config:
     return validate(tree)
 
 
-def of(given: Config | Mapping[str, Any] | str | Path | None) -> Config:
+def of(given: Config | Mapping[str, Any] | AnyPath | None) -> Config:
     """Return a configuration given as such, as mappings, or as a TOML file; without any, the default.
 
     Mappings nest, as `{"episode": {"duration_s": 60}}`, or name a key as --set does, `{"episode.duration_s": 60}`.
@@ -60,7 +61,7 @@ def of(given: Config | Mapping[str, Any] | str | Path | None) -> Config:
             'a configuration is a Config, nested mappings such as {"episode": {"duration_s": 60}}, or a TOML file; '
             f"got a {type(given).__name__}"
         )
-    return load(Path(given)) if isinstance(given, str | Path) else validate(_nested(given or {}))
+    return load(given) if isinstance(given, str | Path) else validate(_nested(given or {}))
 
 
 def validate(tree: dict[str, Any]) -> Config:

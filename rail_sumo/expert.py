@@ -2,7 +2,6 @@
 
 import itertools
 import json
-from pathlib import Path
 
 from safetensors.numpy import save_file
 
@@ -11,7 +10,7 @@ from rail_sumo.assets import EXPERT_DEMONSTRATIONS, EXPERT_POLICY, EXPERT_RECIPE
 from rail_sumo.config import Config
 from rail_sumo.config_file import dumps
 from rail_sumo.drivers import Expert
-from rail_sumo.files import check_folder, whole_folder
+from rail_sumo.files import AnyPath, check_folder, whole_folder
 from rail_sumo.highway.observation import feature_names
 from rail_sumo.imitation.demonstrations import Demonstrations
 from rail_sumo.records import Floats
@@ -21,7 +20,7 @@ from rail_sumo.tables import report
 
 def train(
     config: Config,
-    out: Path,
+    out: AnyPath,
     *,
     seed: int,
     workers: run.WorkerCount = 1,

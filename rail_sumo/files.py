@@ -9,13 +9,16 @@ from pathlib import Path
 
 from rail_sumo.errors import InputError
 
+AnyPath = str | Path
+"""What functions that users call take for a path."""
+
 
 def is_taken(folder: Path) -> bool:
     """Return whether there is something where a folder is to be; an empty one is nothing."""
     return folder.exists() and not (folder.is_dir() and next(folder.iterdir(), None) is None)
 
 
-def check_folder(folder: Path, *, overwrite: bool = False, instead: str = "") -> None:
+def check_folder(folder: AnyPath, *, overwrite: bool = False, instead: str = "") -> None:
     """Raise InputError if `whole_folder` would be refused: better before an hour of driving than after it.
 
     Args:
@@ -23,6 +26,7 @@ def check_folder(folder: Path, *, overwrite: bool = False, instead: str = "") ->
         overwrite: whether the folder may hold something.
         instead: what the user may do about an existing folder beside choosing another.
     """
+    folder = Path(folder)
     if folder.exists() and not folder.is_dir():
         raise InputError(f"output folder '{folder}' is a file; choose another")
     if is_taken(folder) and not overwrite:
@@ -30,8 +34,9 @@ def check_folder(folder: Path, *, overwrite: bool = False, instead: str = "") ->
     _check_writable(folder)
 
 
-def check_file(file: Path, *, overwrite: bool = False) -> None:
+def check_file(file: AnyPath, *, overwrite: bool = False) -> None:
     """Raise InputError if a file exists and is not to be replaced, or nothing can be written beside it."""
+    file = Path(file)
     if file.is_dir():
         raise InputError(f"output file '{file}' is a folder; name a file in it")
     if file.exists() and not overwrite:
@@ -40,12 +45,13 @@ def check_file(file: Path, *, overwrite: bool = False) -> None:
 
 
 @contextmanager
-def whole_file(file: Path) -> Iterator[Path]:
+def whole_file(file: AnyPath) -> Iterator[Path]:
     """Give the name to write to; what is there at the end takes the file's place at once.
 
     Raises:
         InputError: it cannot be written, or the disk is full.
     """
+    file = Path(file)
     partial = file.with_name(f".{file.name}.{os.getpid()}.partial")  # two processes may write the same
     with writing(file):
         file.parent.mkdir(parents=True, exist_ok=True)
@@ -57,7 +63,7 @@ def whole_file(file: Path) -> Iterator[Path]:
 
 
 @contextmanager
-def whole_folder(folder: Path, *, overwrite: bool = False) -> Iterator[Path]:
+def whole_folder(folder: AnyPath, *, overwrite: bool = False) -> Iterator[Path]:
     """Give an empty folder on the same disk to write into; at the end it becomes `folder`.
 
     With `overwrite` the folder may hold something: then its files and folders are replaced, one by one, by those of the
@@ -66,6 +72,7 @@ def whole_folder(folder: Path, *, overwrite: bool = False) -> Iterator[Path]:
     Raises:
         InputError: it exists and is not empty, cannot be written to, or the disk is full.
     """
+    folder = Path(folder)
     check_folder(folder, overwrite=overwrite)
     with writing(folder):
         merging = folder.exists()

@@ -1,7 +1,7 @@
 """Who drives under a name: a driver of ours, an expert's folder, or what a run directory learned."""
 
 import itertools
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 from pathlib import Path
 
 from rail_sumo import assets, config_file, drivers
@@ -35,7 +35,7 @@ def world(policies: Iterable[str], overrides: Iterable[str] = ()) -> Config:
     return chosen
 
 
-def find_driver(policy: str, world: Config) -> Who:
+def find_driver(policy: str, world: Config, *, also: Sequence[str] = ()) -> Who:
     """Return who drives under the name: a driver of ours, an expert's folder, or what a run directory learned.
 
     What was learned acts as it was trained, or as the name says behind a colon: `rail:sampled`, `runs/first:argmax`.
@@ -43,13 +43,14 @@ def find_driver(policy: str, world: Config) -> Who:
     Args:
         policy: the name.
         world: where it is to drive.
+        also: other names that the caller knows, for who mistypes one.
 
     Raises:
         InputError: it is neither, damaged, or learned on another observation than the world's; a colon behind who acts
             in one way.
     """
     name, mode = _name_and_mode(policy)
-    who = _find(name, world)
+    who = _find(name, world, also)
     if not mode:
         return who
     if not isinstance(who, PolicyParameters):
@@ -63,7 +64,7 @@ def _name_and_mode(policy: str) -> tuple[str, str]:
     return (name, mode) if mode in MODES and not drivers.is_name(policy) else (policy, "")
 
 
-def _find(policy: str, world: Config) -> Who:
+def _find(policy: str, world: Config, also: Sequence[str]) -> Who:
     if policy == report.EXPERT:  # read once here, not by a worker in every episode
         return drivers.load_expert(world)
     if drivers.is_name(policy) and policy not in drivers.SHIPPED:
@@ -71,7 +72,7 @@ def _find(policy: str, world: Config) -> Who:
     folder = _folder_of(policy)
     if assets.is_expert(folder):
         return drivers.load_expert(world, folder)
-    _require_folder(folder)
+    _require_folder(folder, also)
     return RunDirectory(folder).policy()
 
 
@@ -108,13 +109,13 @@ def load_driver(policy: str, *, seed: int = 0) -> drivers.Network:
     return driver
 
 
-def _require_folder(policy: Path) -> None:
+def _require_folder(policy: Path, also: Sequence[str] = ()) -> None:
     if not policy.exists():
         learned = set(drivers.SHIPPED) - set(assets.SHIPPED_EXPERTS)
         either_way = [f"{name}:{mode}" for name, mode in itertools.product(learned, MODES)]
         raise InputError(
             f"policy '{policy}' is neither a run directory nor a driver"
-            f"{did_you_mean(str(policy), drivers.NAMES, also=either_way)}"
+            f"{did_you_mean(str(policy), [*drivers.NAMES, *also], also=either_way)}"
         )
     if not assets.is_expert(policy):
         RunDirectory(policy)

@@ -17,7 +17,7 @@ from rail_sumo import assets, drivers, learners, roster, training
 from rail_sumo.config import Config
 from rail_sumo.config_file import dumps
 from rail_sumo.errors import InputError
-from rail_sumo.files import check_file, check_folder, whole_file, whole_folder
+from rail_sumo.files import AnyPath, check_file, check_folder, whole_file, whole_folder
 from rail_sumo.highway import metrics, varied
 from rail_sumo.highway.env import HighwayEnv
 from rail_sumo.highway.network import demand
@@ -53,7 +53,7 @@ class Tables(NamedTuple):
     summary: pd.DataFrame
     decisions: pd.DataFrame
 
-    def write(self, folder: Path, *, overwrite: bool = False) -> None:
+    def write(self, folder: AnyPath, *, overwrite: bool = False) -> None:
         """Write them into a folder, which is there whole or not at all; see `report.write`."""
         with whole_folder(folder, overwrite=overwrite) as whole:
             self.save(whole)
@@ -81,7 +81,7 @@ def evaluate(
     seed: int,
     workers: WorkerCount = 1,
     observer: Observer = SILENT,
-    fcd: Path | None = None,
+    fcd: AnyPath | None = None,
     reference: str | None = None,
 ) -> Tables:
     """Drive every policy through the same held-out episodes and return the tables.
@@ -110,6 +110,7 @@ def evaluate(
     if reference is not None and reference not in policies:
         raise InputError(f"reference '{reference}' is not among the policies: {', '.join(policies)}; name it there too")
     require_drivable(world, episodes, policies.values())
+    fcd = Path(fcd) if fcd else None
     if fcd:
         _check_fcd(fcd, workers)
     for warning in demand.warnings(demand.read(world.traffic)):
@@ -196,7 +197,7 @@ def record(
 def demonstrate(
     driver: str,
     world: Config,
-    out: Path,
+    out: AnyPath,
     *,
     episodes: int,
     seed: int,
@@ -225,7 +226,7 @@ def demonstrate(
 
 def train(
     config: Config,
-    out: Path,
+    out: AnyPath,
     *,
     seed: int,
     workers: WorkerCount = 1,
@@ -242,6 +243,7 @@ def train(
             iterations already; anything that is wrong with the configuration, the network, the demand or the
             demonstrations.
     """
+    out = Path(out)
     require_drivable(config, config.train.evaluation_episodes)
     expert = drivers.load_expert(config)
     run = training.learn(config, out, seed=seed, workers=workers, resume=resume, observer=observer)

@@ -22,7 +22,7 @@ from rail_sumo.assets import own_version
 from rail_sumo.config import Config
 from rail_sumo.config_file import dumps, first_difference, load
 from rail_sumo.errors import InputError
-from rail_sumo.files import is_taken, whole_file, whole_folder
+from rail_sumo.files import AnyPath, is_taken, whole_file, whole_folder
 from rail_sumo.highway.observation import feature_names
 from rail_sumo.policy import PolicyParameters, Shape, Whitening
 
@@ -80,7 +80,8 @@ class RunDirectory:
         InputError: not there, incomplete or damaged.
     """
 
-    def __init__(self, path: Path) -> None:
+    def __init__(self, path: AnyPath) -> None:
+        path = Path(path)
         if not path.is_dir():
             raise InputError(f"run directory '{path}' not found")
         if not (path / CONFIG).is_file():

@@ -230,6 +230,14 @@ def trained(small, driven, tmp_path):
     return tmp_path / "run"
 
 
+def test_a_path_may_be_a_string(trained, small, driven, tmp_path):
+    again = run.train(small, str(tmp_path / "again"), seed=1)
+    assert contents(tmp_path / "again") == contents(trained)
+    again.write(str(tmp_path / "tables"))
+    assert set(contents(tmp_path / "tables")) < set(contents(trained))
+    assert RunDirectory(str(trained)).config == config_file.load(str(trained / "config.toml"))
+
+
 def test_resuming_with_another_seed_is_refused(small, trained):
     with pytest.raises(InputError, match=r"was started with seed = 1, not 2; resume it as it was started, or start"):
         run.train(small, trained, seed=2, resume=True)

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from rail_sumo.config_file import first_difference, recorded
 from rail_sumo.errors import InputError
-from rail_sumo.files import whole_file
+from rail_sumo.files import AnyPath, whole_file
 from rail_sumo.policy import N_ACTIONS
 from rail_sumo.records import Floats, MetaAction, Trajectory
 
@@ -136,7 +136,7 @@ class Demonstrations:
             | np.eye(N_ACTIONS, dtype=np.bool_)[actions],
         )
 
-    def save(self, path: Path, *, features: Sequence[str], about: Mapping[str, object]) -> None:
+    def save(self, path: AnyPath, *, features: Sequence[str], about: Mapping[str, object]) -> None:
         """Write a Parquet file: a float32 column per feature, `action` (int8), `episode` (int32), booleans `ALLOWED`.
 
         The file appears under its name only once it is whole, replacing what was there.
@@ -163,7 +163,7 @@ class Demonstrations:
 
     @classmethod
     def load(
-        cls, path: Path, *, features: Sequence[str], demonstrating: Mapping[str, object] | None = None
+        cls, path: AnyPath, *, features: Sequence[str], demonstrating: Mapping[str, object] | None = None
     ) -> "Demonstrations":
         """Read a Parquet file that `save` wrote, or one with the same columns in any order, maybe without `ALLOWED`.
 
@@ -178,6 +178,7 @@ class Demonstrations:
                 `features` or otherwise than `demonstrating`, or with a value that is missing, not finite, no
                 meta-action or one that was not allowed.
         """
+        path = Path(path)
         table = _read(path)
         _check_recording(path, table, demonstrating)
         _check_layout(path, table.column_names, features)

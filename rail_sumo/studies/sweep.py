@@ -174,7 +174,7 @@ class Sweep:
         for setting in self.settings:
             world = self._world(setting)
             who: dict[str, Who | Instead] = {
-                name: ACC if name == ACC else roster.find_driver(name, world)
+                name: ACC if name == ACC else roster.find_driver(name, world, also=[ACC])
                 for name in self.drivers
                 if name != AS_THEY_ARE
             }

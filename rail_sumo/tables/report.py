@@ -12,7 +12,7 @@ from rich.console import Console
 from rich.markup import escape
 from rich.table import Table
 
-from rail_sumo.files import whole_folder
+from rail_sumo.files import AnyPath, whole_folder
 from rail_sumo.records import DECISION_COLUMNS, EPISODE_COLUMNS, METRICS, SUMMARY_COLUMNS, UNDRIVEN, EndReason, Floats
 from rail_sumo.tables import statistics
 
@@ -112,7 +112,7 @@ def figures(metric: str, scores: Floats, reference: Floats, *, trained: bool) ->
     }  # fmt: skip
 
 
-def write(folder: Path, *, overwrite: bool = False, **tables: pd.DataFrame) -> None:
+def write(folder: AnyPath, *, overwrite: bool = False, **tables: pd.DataFrame) -> None:
     """Write tables into the folder, each under its name as CSV and as Parquet with the same content.
 
     A new folder appears whole or not at all. With `overwrite` it may exist: tables of the same names are replaced,
