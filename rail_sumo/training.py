@@ -11,13 +11,15 @@ from rail_sumo.config import Config
 from rail_sumo.errors import InputError
 from rail_sumo.highway import metrics, varied
 from rail_sumo.highway.network import demand
-from rail_sumo.highway.observation import feature_names
+from rail_sumo.highway.observation import bounds, feature_names
 from rail_sumo.imitation.demonstrations import Demonstrations
 from rail_sumo.learners import Iteration, Practice, learner_of
 from rail_sumo.policy import ARGMAX, SAMPLED, PolicyParameters, Shape, Whitening
 from rail_sumo.rollout import SILENT, Observer, WorkerCount
 from rail_sumo.run_directory import PROGRESS_COLUMNS, Checkpoint, Row, RunDirectory, require_new
 
+ROUNDING = 1e-3
+"""How far a number may go beyond its bounds, since files hold 32 bits."""
 UNTOLD = (
     "by the demonstrations everything was open to their driver at all times (columns allowed_*, or none), and so a "
     "masked clone of them may change lanes too seldom; tell there what was open, or set policy.masked=false"
@@ -127,13 +129,35 @@ def demonstrations_of(config: Config) -> Demonstrations:
     """Return the demonstrations that a configuration names; for a learner that is shown nothing, a blank one.
 
     Raises:
-        InputError: there are none, or fewer than wanted, or they are damaged or of another observation.
+        InputError: there are none, or fewer than wanted, or they are damaged, of another observation or in other units.
     """
     features = feature_names(config.lidar, config.observation)
     if not learner_of(config).reads_demonstrations:
         return Demonstrations(np.zeros((1, len(features))), np.zeros(1, np.int64), np.zeros(1, np.int64))
-    shown = Demonstrations.load(_demonstrations_file(config), features=features, demonstrating=config.demonstrating)
+    file = _demonstrations_file(config)
+    shown = Demonstrations.load(file, features=features, demonstrating=config.demonstrating)
+    _require_units(shown, file, config)
     return shown.take(config.train.trajectories)
+
+
+def _require_units(shown: Demonstrations, file: Path, config: Config) -> None:
+    """Raise InputError if what was demonstrated is not in our units, or of a LIDAR of another range."""
+    features = feature_names(config.lidar, config.observation)
+    low, high = bounds(config.lidar, config.observation)
+    least, most = shown.observations.min(axis=0), shown.observations.max(axis=0)
+    beyond = np.flatnonzero((least < low) | (most > high + ROUNDING))
+    if len(beyond):
+        k = int(beyond[0])
+        raise InputError(
+            f"demonstrations '{file}': {features[k]} goes from {least[k]:g} to {most[k]:g}, and can only from "
+            f"{low[k]:g} to {high[k]:g}; give metres and m/s, and the lidar.max_range_m that they were recorded with"
+        )
+    farthest_m = max(most[k] for k, name in enumerate(features) if name.startswith("distance"))
+    if farthest_m < config.lidar.max_range_m / 2:
+        raise InputError(
+            f"demonstrations '{file}': no distance is above {farthest_m:g} m, though a ray that hits nothing tells "
+            f"the range, {config.lidar.max_range_m:g} m; give metres, and lidar.max_range_m as they were recorded with"
+        )
 
 
 def _demonstrations_file(config: Config) -> Path:

@@ -33,10 +33,11 @@ N_FEATURES = 8
 def drive(task):
     """Stands in for SUMO: what is seen follows from the traffic seed, what is decided from the driver."""
     observations = np.random.default_rng(task.seed).normal(size=(20, N_FEATURES))
+    observations[:, : N_FEATURES // 2] = 50.0 + 50.0 * np.tanh(observations[:, : N_FEATURES // 2])  # distances
     if isinstance(task.driver, PolicyParameters):
         actions = np.array([task.driver.policy()(observation) for observation in observations])
     else:
-        actions = np.where(observations[:, 0] > 0, 1, 2)
+        actions = np.where(observations[:, 0] > 50.0, 1, 2)
     return Trajectory(
         observations=observations,
         decisions=actions,
@@ -676,6 +677,32 @@ def test_an_evaluation_that_could_not_be_is_told_what_it_lacks(small, given, mes
     arguments = {"policies": {"keep": "keep", "rule": "rule"}, "episodes": 1, "seed": 0} | given
     with pytest.raises(InputError, match=f"^{re.escape(message)}$"):
         run.evaluate(arguments.pop("policies"), small, **arguments)
+
+
+@pytest.mark.parametrize(
+    ("scaled", "message"),
+    [
+        (
+            {"distance_0_m": 1.2},
+            r"distance_0_m goes from [\d.]+ to [\d.]+, and can only from 0 to 100; give metres and",
+        ),
+        (
+            {"distance_3_m": -1.0},
+            r"distance_3_m goes from -[\d.]+ to -[\d.]+, and can only from 0 to 100; give metres ",
+        ),
+        ({"relative_speed_1_mps": 3600.0}, r"relative_speed_1_mps goes from .*, and can only from -200 to 200; give "),
+        (
+            {f"distance_{ray}_m": 0.01 for ray in range(4)},
+            r"no distance is above 0\.\d+ m, though a ray that hits no",
+        ),
+    ],
+)
+def test_demonstrations_in_other_units_are_refused(small, driven, tmp_path, scaled, message):
+    told = pd.read_parquet(tmp_path / "demonstrations.parquet")
+    told.assign(**{name: told[name] * by for name, by in scaled.items()}).to_parquet(tmp_path / "scaled.parquet")
+    file = tmp_path / "scaled.parquet"
+    with pytest.raises(InputError, match=rf"^demonstrations '{re.escape(str(file))}': {message}"):
+        training.demonstrations_of(small.changed(train={"demonstrations": str(file)}))
 
 
 def test_demonstrations_that_do_not_tell_what_was_open_are_told_to_who_clones_them_masked(small, driven, tmp_path):
