@@ -261,6 +261,16 @@ def test_a_decision_that_leaves_the_set_speed_at_an_end_of_its_range_is_told_fro
     assert all(told[len(down)] == stays == "" for stays in told[n_up + len(up) :])  # to keep is meant to change nothing
 
 
+def test_speeding_up_once_more_at_a_red_light_leaves_the_set_speed_the_same():
+    """It is 5 km/h above the speed that is driven, which is neither end of its range."""
+    at_a_light = on("arterial", adas={"min_speed_kmh": 1.0}, episode={"duration_s": 120.0})
+    film, trajectory, _ = filmed(at_a_light, InTurn(*[MetaAction.ACCELERATE] * 120))
+    standing = [one.frame for one in film.driven.decisions if one.stays == "same"]
+    assert standing
+    assert film.driven.set_mps[standing] == pytest.approx(5.0 / 3.6, abs=1e-3)
+    assert trajectory.speed_mps[standing] == pytest.approx(0.0, abs=1e-3)
+
+
 def test_a_learned_driver_tells_how_probable_each_decision_was():
     film, _, _ = filmed(on("highway5"), "expert")
     for one in film.driven.decisions:
