@@ -3,7 +3,7 @@
 import itertools
 import json
 
-from safetensors.numpy import save_file
+from safetensors.numpy import save
 
 from rail_sumo import run
 from rail_sumo.assets import EXPERT_DEMONSTRATIONS, EXPERT_POLICY, EXPERT_RECIPE, MANIFEST
@@ -59,7 +59,8 @@ def train(
     with whole_folder(out) as whole:
         report.save(whole, episodes=tables.episodes, summary=tables.summary)
         features = feature_names(config.lidar, config.observation)
-        save_file(_tensors(expert), whole / EXPERT_POLICY, metadata={"features": json.dumps(features)})
+        weights = save(_tensors(expert), metadata={"features": json.dumps(features)})
+        (whole / EXPERT_POLICY).write_bytes(weights)  # not by safetensors, whose files nobody else may read
         (whole / EXPERT_RECIPE).write_text(dumps(config), encoding="utf-8")
         demonstrations.save(whole / EXPERT_DEMONSTRATIONS, features=features, about=about)
         means = tables.summary.set_index("metric")["mean"]

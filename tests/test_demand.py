@@ -267,6 +267,26 @@ def test_with_a_state_that_is_loaded_nobody_and_no_type_is_refused(tmp_path):
     assert not is_refused(demand.require_type, given, "car")
 
 
+@pytest.mark.parametrize(
+    ("rows", "may_have"),
+    [
+        ('<vType id="a" vClass="truck"/><trip id="0" type="a" depart="0"/>', False),
+        ('<vType id="a" vClass="taxi"/><trip id="0" type="a" depart="0"/>', True),
+        ('<vType id="a"/><trip id="0" type="a" depart="0"/>', True),
+        ('<trip id="0" depart="0"/>', True),
+        ('<vType id="DEFAULT_VEHTYPE" vClass="bus"/><trip id="0" depart="0"/>', False),
+        ('<vType id="a" vClass="truck"/><vType id="b"/><flow id="0" type="a" period="5"/>', False),  # nobody is of b
+        ('<vType id="a" vClass="truck"/><trip id="0" type="elsewhere" depart="0"/>', True),
+        ('<vTypeDistribution id="a" vTypes="b c"/><trip id="0" type="a" depart="0"/>', True),
+        ('<vType id="a" vClass="truck"/><trip id="0" type="a" depart="0"/><person id="p" depart="0"/>', True),
+    ],
+)
+def test_whether_a_demand_may_have_cars_follows_from_the_types_of_its_vehicles(tmp_path, rows, may_have):
+    given = read([written(tmp_path, f"<routes>{rows}</routes>")])
+    assert given.may_have_cars == may_have
+    assert any("no cars" in warning for warning in demand.warnings(given)) != may_have
+
+
 def test_types_may_lie_in_any_file_of_a_demand_and_in_a_distribution(tmp_path):
     written(tmp_path, '<additional><vType id="van"/></additional>', "van.add.xml")
     drawn = '<vTypeDistribution id="any"><vType id="bus"/></vTypeDistribution>'

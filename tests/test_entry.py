@@ -140,6 +140,28 @@ def test_a_demand_that_ends_within_the_warm_up_is_entered_while_it_departs(make,
 
 
 @pytest.mark.parametrize(
+    ("kinds", "hosts"),
+    [
+        (("truck", "motorcycle"), {"truck", "motorcycle"}),
+        (("truck", "passenger"), {"passenger"}),
+        (("bicycle", "bus"), {"bus"}),
+    ],
+)
+def test_where_the_demand_has_no_cars_the_host_is_another_motor_vehicle(make, tmp_path, kinds, hosts):
+    types = "".join(f'<vType id="a_{kind}" vClass="{kind}" sigma="0"/>' for kind in kinds)
+    vehicles = "".join(
+        f'<vehicle id="{k}" type="a_{kinds[k % 2]}" depart="{10 * k}"><route edges="highway"/></vehicle>'
+        for k in range(CARS)
+    )
+    chosen = set()
+    for seed in range(8):
+        host = begun(make, demand(tmp_path, types, vehicles), seed).host_name
+        chosen.add(libsumo.vehicle.getVehicleClass(host))
+        assert libsumo.vehicle.getVehicleClass(host) == kinds[int(host) % 2]
+    assert chosen == hosts
+
+
+@pytest.mark.parametrize(
     ("changes", "said"),
     [
         (

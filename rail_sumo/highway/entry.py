@@ -9,6 +9,7 @@ import numpy as np
 from rail_sumo.config import Config
 from rail_sumo.errors import CourseError, InputError
 from rail_sumo.highway.inserted import Inserted
+from rail_sumo.highway.names import CARS, MOTOR_VEHICLES
 from rail_sumo.highway.network import road
 from rail_sumo.highway.network.demand import Demand
 from rail_sumo.highway.simulation import Simulation
@@ -27,7 +28,7 @@ def take_over(simulation: Simulation, config: Config, demand: Demand, rng: np.ra
     """Let the demand drive until a car departs that the host can replace, and make it the host.
 
     It is the first after a moment drawn evenly from `traffic.entry_within_s` after the warm-up, or the vehicle that
-    `traffic.host` names.
+    `traffic.host` names. Of a demand without cars it is another motor vehicle.
 
     Returns:
         The stretch along that car's route, from where it departs.
@@ -37,11 +38,12 @@ def take_over(simulation: Simulation, config: Config, demand: Demand, rng: np.ra
             drive, or the network cannot be read.
     """
     road.require_readable(config.network.file, config.network.course)
+    kinds = kinds_of(demand)
     from_s, until_s = moments(config, demand, rng)
     simulation.run_until(from_s - SECONDS_PER_STEP)
     for steps in itertools.count(1):
         simulation.run_without_host(SECONDS_PER_STEP)
-        for car, stretch in replaceable(simulation.departed(), config, waited_s=steps * SECONDS_PER_STEP):
+        for car, stretch in replaceable(simulation.departed(), config, kinds, waited_s=steps * SECONDS_PER_STEP):
             simulation.lay_course(stretch.road, config.adas, sees_m=stretch.sees_m, host=car.name)
             simulation.take_over(car)
             return stretch
@@ -66,12 +68,20 @@ def is_drawn(config: Config) -> bool:
     return config.traffic.host == "replaces"
 
 
-def replaceable(cars: Iterable[Inserted], config: Config, *, waited_s: float) -> Iterator[tuple[Inserted, Stretch]]:
+def kinds_of(demand: Demand) -> frozenset[str]:
+    """Return SUMO's classes of what the host can replace: cars, or what else has a motor where there are none."""
+    return CARS if demand.may_have_cars else MOTOR_VEHICLES
+
+
+def replaceable(
+    cars: Iterable[Inserted], config: Config, kinds: frozenset[str], *, waited_s: float
+) -> Iterator[tuple[Inserted, Stretch]]:
     """Yield those of the vehicles that have just departed that the host can replace, and what it would drive.
 
     Args:
         cars: the vehicles.
         config: the world; see `traffic.host` and `traffic.shortest_route_m`.
+        kinds: SUMO's classes of those that may be drawn.
         waited_s: for how long there has been none.
 
     Raises:
@@ -80,7 +90,7 @@ def replaceable(cars: Iterable[Inserted], config: Config, *, waited_s: float) ->
     """
     traffic, drawn = config.traffic, is_drawn(config)
     for car in cars:
-        if not car.is_car if drawn else car.name != traffic.host:
+        if car.vclass not in kinds if drawn else car.name != traffic.host:
             continue
         try:
             stretch = stretch_of(car, config)

@@ -5,10 +5,8 @@ from dataclasses import dataclass
 
 import libsumo
 
+from rail_sumo.highway.names import CARS
 from rail_sumo.highway.whereabouts import way_of
-
-CARS = frozenset({"passenger", "private", "taxi", "evehicle", "hov", "vip", "custom1", "custom2", "ignoring"})
-"""SUMO's vehicle classes of what drives as a car does."""
 
 
 @dataclass(frozen=True, slots=True)

@@ -144,6 +144,7 @@ class HighwayParallelEnv(ParallelEnv[str, Floats, int]):
         """The id in SUMO of every agent that has departed, by its name."""
         self._over: dict[str, Told] = {}  # those who have not been told yet that their episode is over
         self._awaited = list(self.possible_agents)
+        self._kinds = entry.kinds_of(self._demand)
         self._awaited_from_s, self._awaited_until_s = entry.moments(self.config, self._demand, rng)
         simulation.run_until(self._awaited_from_s - SECONDS_PER_STEP)
         return simulation
@@ -214,7 +215,7 @@ class HighwayParallelEnv(ParallelEnv[str, Floats, int]):
 
     def _let_enter(self, simulation: Simulation, steps_left: int) -> None:
         waited_s = simulation.now_s - self._awaited_from_s
-        for car, stretch in entry.replaceable(simulation.departed(), self.config, waited_s=waited_s):
+        for car, stretch in entry.replaceable(simulation.departed(), self.config, self._kinds, waited_s=waited_s):
             name = self._awaited.pop(0)
             self._live[name] = self._rides.enter(car, stretch)
             self._live[name].agent.wait(steps_left)

@@ -12,8 +12,8 @@ from rail_sumo.errors import InputError
 from rail_sumo.highway import inserted, sumo_process
 from rail_sumo.highway.held import HeldVehicles
 from rail_sumo.highway.host import HOST_TYPE, Host
-from rail_sumo.highway.inserted import CARS, Inserted
-from rail_sumo.highway.names import HOST, OURS
+from rail_sumo.highway.inserted import Inserted
+from rail_sumo.highway.names import CARS, HOST, OURS
 from rail_sumo.highway.network import sumo_xml
 from rail_sumo.highway.network.demand import Demand
 from rail_sumo.highway.network.road import Road

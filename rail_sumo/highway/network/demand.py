@@ -10,7 +10,7 @@ from pathlib import Path
 
 from rail_sumo import assets, config
 from rail_sumo.errors import InputError, did_you_mean
-from rail_sumo.highway.names import OURS
+from rail_sumo.highway.names import CARS, OURS
 from rail_sumo.highway.network import sumocfg
 from rail_sumo.highway.network.sumo_xml import (
     UNKNOWN_ENCODING,
@@ -26,6 +26,8 @@ TRAFFIC_ELEMENTS = ("vehicle", "flow", "trip")
 
 TYPES = ("vType", "vTypeDistribution")
 """Elements that say what vehicles are like."""
+DEFAULT_TYPE, DEFAULT_CLASS = "DEFAULT_VEHTYPE", "passenger"
+"""The type of a vehicle that names none, and the class of a type that names none."""
 
 ADDITIONAL = frozenset({
     "busStop", "trainStop", "containerStop", "chargingStation", "parkingArea", "rerouter", "variableSpeedSign",
@@ -81,6 +83,15 @@ class Demand:
         return min(first for first, _ in filter(None, spans)), max(last for _, last in filter(None, spans))
 
     @property
+    def may_have_cars(self) -> bool:
+        """Whether any vehicle may be a car, as far as the types tell; one of a distribution may be anything."""
+        contents = [_content(path, state_of(path)) for path in self.files]
+        if any(one.may_have_more for one in contents) or not UNREAD_OPTIONS.isdisjoint(self.options):
+            return True
+        classes = {kind: vclass for one in contents for kind, vclass in one.types.items()}
+        return any(classes.get(kind, DEFAULT_CLASS) in CARS for one in contents for kind in one.kinds)
+
+    @property
     def folders_written(self) -> set[Path]:
         """The folders into which it may have SUMO write: beside what names a file there, and the current one."""
         named = ((path, name) for path in self.files for name in _content(path, state_of(path)).outputs)
@@ -106,8 +117,10 @@ class _Content:
     """Ids of vehicles and trips."""
     flows: Mapping[str, float]
     """How many vehicles a flow has at most, by its id, where they are not multiplied; inf where it does not tell."""
-    types: frozenset[str]
-    """Ids of vehicle types, and of distributions of them."""
+    types: Mapping[str, str]
+    """Classes of vehicle types, by their ids; of distributions, as if they were of cars."""
+    kinds: frozenset[str]
+    """Ids of the types that vehicles are of."""
     may_have_more: bool
     """Whether SUMO may make vehicles for it with other ids than these, or more of them than it says."""
 
@@ -145,6 +158,8 @@ def warnings(demand: Demand) -> Iterator[str]:
     if demand.routes and not demand.has_traffic:
         names = "', '".join(map(str, demand.routes))
         yield f"'{names}' has no <vehicle>, <flow> or <trip>: traffic is made for the host"
+    if demand.has_traffic and not demand.may_have_cars:
+        yield "the demand has no cars: the host takes the place of another motor vehicle, and is as long and as wide"
     for given in demand.routes:
         for path in _with_included(given):
             misplaced = _content(path, state_of(path)).misplaced
@@ -242,7 +257,8 @@ def _content(path: Path, state: tuple[int, int]) -> _Content:
     is_known = may_have_more = False
     vehicles: set[str] = set()
     flows: dict[str, float] = {}
-    types: set[str] = set()
+    types: dict[str, str] = {}
+    kinds: set[str] = set()
     out_of_order: list[str] = []
     includes: list[str] = []
     outputs: list[str] = []
@@ -257,7 +273,7 @@ def _content(path: Path, state: tuple[int, int]) -> _Content:
                 misplaced = misplaced or element.tag
             may_have_more = may_have_more or element.tag in UNNAMED
             if element.tag in TYPES:
-                types.add(name)
+                types[name] = element.get("vClass", DEFAULT_CLASS)
                 may_have_more = may_have_more or "scale" in element.attrib
             if element.tag == "include":
                 includes.append(element.get("href", ""))
@@ -267,6 +283,7 @@ def _content(path: Path, state: tuple[int, int]) -> _Content:
             if element.tag == "flow" and _rate_per_s(element) > DENSEST_FLOW_PER_S:
                 too_dense = too_dense or name
             if element.tag in TRAFFIC_ELEMENTS:
+                kinds.add(element.get("type", DEFAULT_TYPE))
                 if element.tag == "flow":
                     flows[name] = _at_most(element)
                 else:
@@ -298,7 +315,8 @@ def _content(path: Path, state: tuple[int, int]) -> _Content:
         outputs=tuple(outputs),
         vehicles=frozenset(vehicles),
         flows=flows,
-        types=frozenset(types),
+        types=types,
+        kinds=frozenset(kinds),
         may_have_more=may_have_more,
     )
 
