@@ -124,8 +124,9 @@ class Traffic(_Section):
     warm_up_s: NonNegative = 60.0
     """How long the user's own demand drives before the host enters."""
     host: str = "replaces"
-    """Who the host is in it: it "replaces" a car, drawn by the seed, with its departure and route, or that of the
-    vehicle with this id; or it is "added" to the demand, and drives along `network.course`, or the longest way."""
+    """Who the host is in it: it "replaces" a car (without cars, another motor vehicle), drawn by the seed, with its
+    departure and route, or the vehicle with this id; or it is "added" to the demand, and drives along `network.course`,
+    or the longest way."""
     entry_within_s: NonNegative = 600.0
     """The car that it replaces departs after a moment drawn from so many seconds after the warm-up."""
     shortest_route_m: NonNegative = 500.0

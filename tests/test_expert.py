@@ -35,6 +35,7 @@ def test_the_manifest_names_every_file_and_how_it_was_made(trained):
     files = {path.name: sha256(path) for path in trained.iterdir() if path.name != "manifest.json"}
     assert manifest["files"] == files
     assert {"policy.safetensors", "config.toml", "demonstrations.parquet", "episodes.csv"} <= set(files)
+    assert len({(trained / name).stat().st_mode for name in files}) == 1  # whoever may read one may read all
     assert manifest["seed"] == 5
     assert manifest["libsumo"].startswith("1.")
     # From 60 km/h it takes 2.8 s at 2 m/s² to 80 km/h; traffic ahead may hold it up, but never below the start.
