@@ -10,7 +10,7 @@ import pytest
 
 from rail_sumo import assets, config_file, roster, run
 from rail_sumo.errors import InputError
-from rail_sumo.pictures import report_page
+from rail_sumo.pictures import plot_episodes, report_page
 from rail_sumo.tables import report
 from rail_sumo.tables.shares import HEADINGS
 
@@ -135,6 +135,7 @@ def test_the_page_fetches_nothing_and_names_what_differs_from_the_default(evalua
 
 def driven_along(x_m, y_m, policies=("rule",)):
     """Decisions along a way, each a lane change, to either side in turns."""
+    x_m, y_m = np.asarray(x_m), np.asarray(y_m)
     way = {"distance_m": np.hypot(np.gradient(x_m), np.gradient(y_m)).cumsum(), "x_m": x_m, "y_m": y_m}
     sides = np.where(np.arange(len(x_m)) % 2, "left", "right")
     each = {"time_s": np.arange(len(x_m)) * 1.0, "speed_kmh": 80.0, "asked": sides, "carried_out": sides}
@@ -152,6 +153,7 @@ STRAIGHT[0][::2] += 20.0
         ((500.0 * np.cos(TURN), 500.0 * np.sin(TURN)), ["ring5"] * 2, True),
         (STRAIGHT, ["highway5"] * 2, False),  # it would be a line
         ((500.0 * np.cos(TURN), 500.0 * np.sin(TURN)), ["ring5", "onramp"], False),  # two roads on one map
+        (([3.0, 4.0], [5.0, 6.0]), ["highway5"] * 2, False),
     ],
 )
 def test_lane_changes_are_drawn_on_a_map_where_there_is_one_road_that_is_no_line(
@@ -170,7 +172,7 @@ def test_lane_changes_are_drawn_on_a_map_where_there_is_one_road_that_is_no_line
 
 def test_a_map_shows_every_lane_change_of_every_policy_where_it_began():
     decisions = driven_along(500.0 * np.cos(TURN), 500.0 * np.sin(TURN), policies=list("abcd"))
-    drawn = report_page._map(decisions, decisions)
+    drawn = plot_episodes.lane_change_map(decisions)
     maps = [axes for axes in drawn.axes if axes.lines]
     assert [axes.get_title(loc="left") for axes in maps] == list("abcd")
     for axes in maps:

@@ -3,7 +3,6 @@
 import base64
 import html
 import io
-import itertools
 import json
 import math
 from collections.abc import Iterator, Mapping, Sequence
@@ -18,7 +17,7 @@ from rail_sumo import assets, config_file
 from rail_sumo.config import Config
 from rail_sumo.errors import InputError
 from rail_sumo.files import check_file, whole_file
-from rail_sumo.pictures import plot
+from rail_sumo.pictures import plot, plot_episodes
 from rail_sumo.records import MetaAction
 from rail_sumo.run_directory import CLONE, CONFIG, PROGRESS
 from rail_sumo.tables.report import CONTACTS, DECISIONS, EPISODES, ORIGIN, SUMMARY, WORLD
@@ -34,28 +33,8 @@ TABLE1, SWEEP = "table1.csv", "sweep.md"
 KINDS = {CONFIG: "run", EPISODES: "evaluation", CELLS: "study", TRAFFIC: "sweep"}
 """What a folder is, by the first of these files that it has."""
 
-POINTS = {
-    "speed_kmh": "speed, km/h",
-    "overtakes": "overtakes",
-    "lane_changes": "lane changes",
-    "refused_decisions": "refused decisions",
-    "hardest_braking_mps2": "hardest braking, m/s²",
-    "min_ttc_s": "smallest time to collision, s",
-}
-"""What is drawn of every episode."""
-FARTHEST_TTC_S = 60.0
-"""Times to collision beyond this are drawn here: nobody was near."""
 WORDS = '<td class="words">'
 """How a cell begins that holds no number."""
-POINTS_TOLD = (
-    f"Every episode is a point; the line is the mean. Times to collision above {FARTHEST_TTC_S:g} s are drawn there."
-)
-SIDES = {"left": "#0072b2", "right": "#d55e00"}
-"""The colours of lane changes."""
-STRIP_M = 50.0
-"""What was driven within a straight strip as wide as this is not drawn on a map: it would be a line."""
-WIDE = 0.35
-"""Maps that are lower than this, of their width, lie under one another."""
 ACTIONS = [action.name.lower() for action in MetaAction]
 
 
@@ -168,7 +147,9 @@ def _evaluation(episodes: pd.DataFrame, summary: pd.DataFrame) -> Iterator[str]:
         f" Of {' and '.join(CONTACTS)}: in how many episodes there was one, with the 95 % interval of that share."
     )
     yield "<h3>Evaluation</h3>" + _table(pd.DataFrame(rows).astype(object).fillna(""), caption)
-    yield _picture(_points(episodes, policies), POINTS_TOLD, "Episodes")
+    farthest_s = plot_episodes.FARTHEST_TTC_S
+    told = f"Every episode is a point; the line is the mean. Times to collision above {farthest_s:g} s are drawn there."
+    yield _picture(plot_episodes.points(episodes, policies), told, "Episodes")
     yield "<details><summary>All episodes</summary>" + _table(episodes) + "</details>"
 
 
@@ -198,30 +179,6 @@ def _with_interval(row: "pd.Series[Any]", what: str) -> _Interval:
     return _Interval(*(float(row[name]) for name in (what, low, high)))
 
 
-def _points(episodes: pd.DataFrame, policies: Sequence[str]) -> "Figure":
-    from matplotlib.figure import Figure
-
-    figure = Figure(figsize=(9.0, 1.2 + 0.28 * len(policies) * 2 + 2.0), layout="constrained")
-    spread = np.random.default_rng(0)  # points that lie on one another are moved apart, the same way each time
-    for axes, (metric, label) in zip(figure.subplots(2, 3, sharey=True).flat, POINTS.items(), strict=True):
-        for at, policy in enumerate(policies):
-            values = episodes.loc[episodes["policy"] == policy, metric].dropna().to_numpy(np.float64)
-            values = np.minimum(values, FARTHEST_TTC_S) if metric == "min_ttc_s" else values
-            axes.plot(
-                values, at + spread.uniform(-0.2, 0.2, len(values)), "o", markersize=3, alpha=0.6, color="#0072b2"
-            )
-            if len(values):
-                axes.plot([values.mean()] * 2, [at - 0.35, at + 0.35], color="#d55e00", linewidth=2)
-        if episodes[metric].nunique() == 1:
-            axes.set_xlim(*(episodes[metric].iloc[0] + np.array([-1.0, 1.0])))
-        axes.set_yticks(range(len(policies)), policies)
-        axes.set_ylim(len(policies) - 0.5, -0.5)
-        axes.set_xlabel(label)
-        axes.grid(alpha=0.3, axis="x")
-        axes.spines[["top", "right"]].set_visible(False)
-    return figure
-
-
 def _decisions(decisions: pd.DataFrame, *, n_networks: int) -> Iterator[str]:
     if decisions.empty:
         return
@@ -235,77 +192,15 @@ def _decisions(decisions: pd.DataFrame, *, n_networks: int) -> Iterator[str]:
     yield "<h3>Decisions</h3>" + _table(
         table, "Of 100 decisions, how many asked for each, and how many were carried out."
     )
-    changes = decisions[decisions["carried_out"].isin(["left", "right"])]
-    if len(changes):
+    if decisions["carried_out"].isin(plot_episodes.SIDES).any():
         told = (
             "Where lane changes were begun, by the distance driven since the host entered, wherever that was: to the "
             "left upwards, to the right downwards. Those that were taken back are among them."
         )
-        yield _picture(_where(changes, decisions), told)
-        if n_networks == 1 and not _is_straight(decisions):
+        yield _picture(plot_episodes.lane_changes(decisions), told)
+        if n_networks == 1 and not plot_episodes.is_straight(decisions):
             told = "The same lane changes on the network's map; grey is the way that was driven."
-            yield _picture(_map(changes, decisions), told)
-
-
-def _where(changes: pd.DataFrame, decisions: pd.DataFrame) -> "Figure":
-    """Draw on how much of the way driven lane changes began, by kilometre and episode."""
-    from matplotlib.figure import Figure
-
-    policies = list(decisions["policy"].unique())
-    figure = Figure(figsize=(9.0, 0.6 + 1.3 * len(policies)), layout="constrained")
-    width_m = max(decisions["distance_m"].max() / 40, 1.0)
-    edges = np.arange(41) * width_m
-    for axes, policy in zip(
-        figure.subplots(len(policies), sharex=True, sharey=True, squeeze=False).flat, policies, strict=True
-    ):
-        own = changes[changes["policy"] == policy]
-        n_episodes = decisions.loc[decisions["policy"] == policy, "episode"].nunique()
-        for (side, colour), sign in zip(SIDES.items(), (1, -1), strict=True):
-            counts, _ = np.histogram(own.loc[own["carried_out"] == side, "distance_m"], edges)
-            heights = sign * counts / n_episodes / (width_m / 1000)
-            axes.bar(edges[:-1] / 1000, heights, width_m / 1000, align="edge", color=colour, label=side)
-        axes.axhline(0.0, color="0.4", linewidth=0.8)
-        axes.set_title(policy, loc="left", fontsize="medium")
-        axes.set_ylabel("per km")
-        axes.spines[["top", "right"]].set_visible(False)
-    figure.axes[-1].set_xlabel("driven, km")
-    return figure
-
-
-def _is_straight(decisions: pd.DataFrame) -> bool:
-    """Return whether all was driven within a strip of `STRIP_M`, whichever way it points."""
-    place_m = decisions[["x_m", "y_m"]].to_numpy()
-    _, _, (_, across) = np.linalg.svd(place_m - place_m.mean(axis=0), full_matrices=False)  # principal directions
-    return bool(np.ptp(place_m @ across) <= STRIP_M)
-
-
-def _map(changes: pd.DataFrame, decisions: pd.DataFrame) -> "Figure":
-    """Draw where on the network lane changes began, seen from above, a map for each policy."""
-    from matplotlib.figure import Figure
-
-    policies = list(decisions["policy"].unique())
-    width_m, height_m = np.ptp(decisions[["x_m", "y_m"]].to_numpy(), axis=0)
-    n_columns = 1 if height_m < WIDE * width_m else min(len(policies), 3)
-    n_rows = math.ceil(len(policies) / n_columns)
-    height = min(max(9.0 / n_columns * height_m / width_m, 1.0), 6.0) + 0.6  # of one map, in inches
-    figure = Figure(figsize=(9.0, n_rows * height), layout="constrained")
-    grid = figure.subplots(n_rows, n_columns, sharex=True, sharey=True, squeeze=False).flat
-    for axes, policy in itertools.zip_longest(grid, policies):
-        if policy is None:
-            axes.set_axis_off()
-            continue
-        driven = decisions[decisions["policy"] == policy]
-        axes.plot(driven["x_m"], driven["y_m"], ".", markersize=1, color="0.75", rasterized=True)
-        for (side, colour), marker in zip(SIDES.items(), "^v", strict=True):
-            own = changes[(changes["policy"] == policy) & (changes["carried_out"] == side)]
-            axes.plot(own["x_m"], own["y_m"], marker, markersize=4, alpha=0.6, color=colour, label=side)
-        axes.set_aspect("equal")
-        axes.set_title(policy, loc="left", fontsize="medium")
-        axes.spines[["top", "right"]].set_visible(False)
-    figure.legend(*figure.axes[0].get_legend_handles_labels(), loc="outside upper right", ncols=2, frameon=False)
-    figure.supxlabel("x, m", fontsize="small")
-    figure.supylabel("y, m", fontsize="small")
-    return figure
+            yield _picture(plot_episodes.lane_change_map(decisions), told)
 
 
 def _study(folder: Path) -> Iterator[str]:
