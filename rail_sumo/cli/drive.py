@@ -182,7 +182,9 @@ def replay(
                 raise InputError(f"floating-car data '{one}' do not exist (current folder: {Path.cwd()})")
             part = next(one.rglob(run.PART), None) if FCD in (one.name, *one.parent.parts) else None
             if part:
-                raise InputError(f"'{one}' is a folder of floating-car data, a file an episode; name one, such as '{part}'")
+                raise InputError(
+                    f"'{one}' is a folder of floating-car data, a file an episode; name one, such as '{part}'"
+                )
         _require_each_once(what)
         world = roster.world(what, overrides_of(network, routes, overrides))
         who = {policy: roster.find_driver(policy, world) for policy in what}

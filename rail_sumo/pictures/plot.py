@@ -123,6 +123,10 @@ def with_bands(curves: Mapping[str, Floats], across: str, what: str, *, columns:
         colour, style, marker = (looks[at % len(looks)] for looks in (_COLOURS, _STYLES, _MARKERS))
         axes.plot(where, mean, style, marker=marker, color=colour, label=name)
         axes.fill_between(where, low, high, color=colour, alpha=0.15, linewidth=0.0)
+    heights = np.unique(np.concatenate([curve[:, 1:].ravel() for curve in curves.values()]))
+    heights = heights[~np.isnan(heights)]
+    if len(heights) == 1:  # matplotlib would show hundredths of nothing
+        axes.set_ylim(heights[0] - 1.0, heights[0] + 1.0)
     axes.set_xlabel(across)
     axes.set_ylabel(textwrap.fill(what, 40))  # or it is cut off at the picture's edge
     axes.grid(alpha=0.3)
