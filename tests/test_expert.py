@@ -134,7 +134,7 @@ def test_a_failure_leaves_nothing_behind(tmp_path, monkeypatch):
     def full_disk(*_, **__):
         raise OSError(28, "No space left on device")
 
-    monkeypatch.setattr(expert, "save_file", full_disk)
+    monkeypatch.setattr(expert, "save", full_disk)
     with pytest.raises(InputError, match="No space left on device"):
         expert.train(SHORT, tmp_path / "mine", seed=5)
     assert list(tmp_path.iterdir()) == []

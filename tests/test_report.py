@@ -182,9 +182,10 @@ def test_csv_and_parquet_hold_the_same(tables, tmp_path):
 
 def test_an_existing_folder_is_refused_and_left_as_it_was(tables, tmp_path):
     (tmp_path / "out").mkdir()
+    (tmp_path / "out" / "notes.txt").write_text("mine")
     with pytest.raises(InputError, match=r"exists; choose another$"):
         report.write(tmp_path / "out", **tables)
-    assert list(tmp_path.rglob("*")) == [tmp_path / "out"]
+    assert [path.name for path in tmp_path.rglob("*")] == ["out", "notes.txt"]
 
 
 def test_overwriting_replaces_the_tables_and_nothing_else(tables, tmp_path):
