@@ -111,7 +111,8 @@ def check(
         print(f"host of the first episode: '{found.host}' of the demand, from {found.enters_s:.0f} s on")
     if found.flows_vehph:
         least, most = (f"{limit(found.flows_vehph.values()):,.0f}" for limit in (min, max))
-        print(f"traffic in the host's first minute: {least} to {most} vehicles per hour on the edges of its course")
+        flows = least if least == most else f"{least} to {most}"
+        print(f"traffic in the host's first minute: {flows} vehicles per hour on the edges of its course")
     for warning in found.warnings:
         print(f"warning: {warning}")
 

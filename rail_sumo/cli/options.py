@@ -39,7 +39,10 @@ def overrides_of(network: str | None, routes: list[str] | None, overrides: list[
 
         world, left_out = sumocfg.read(Path(network))
         if left_out:
-            print(f"rail-sumo: sets these options of '{network}' itself: {', '.join(left_out)}", file=sys.stderr)
+            names = ", ".join(left_out)
+            print(
+                f"rail-sumo: does not use these options of '{network}', and sets them itself: {names}", file=sys.stderr
+            )
     elif network:
         world = {"network.file": network}
     if routes:

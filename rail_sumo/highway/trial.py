@@ -134,7 +134,7 @@ def _slowness(env: HighwayEnv) -> Iterator[str]:
     if top_mps < limit_mps - 0.1:
         yield (
             f"the host's own vehicle is no faster than {top_mps * KMH:.0f} km/h (its maxSpeed), and the course allows "
-            f"{limit_mps * KMH:.0f}; where it binds, all drivers drive alike"
+            f"{limit_mps * KMH:.0f} km/h; where only the vehicle limits the speed, all drivers drive alike"
         )
 
 

@@ -147,7 +147,8 @@ class Sweep:
             raise InputError(f"--warm-up takes seconds from 0 up, or auto; got {self.warm_up_s:g}")
         for share in self.shares:
             if not 0.0 <= share <= 1.0:
-                raise InputError(f"a share is a number from 0 to 1; got {share:g}")
+                hint = f" (for {share:g} %, write {share / 100:g})" if 1.0 < share <= 100.0 else ""
+                raise InputError(f"a share is a number from 0 to 1; got {share:g}{hint}")
         demand_of(self.config)
         if self.key not in (SHARE, PERIOD) and self.key.partition(".")[0] not in SECTIONS:
             raise InputError(
