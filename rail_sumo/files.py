@@ -15,7 +15,7 @@ AnyPath = str | Path
 
 def is_taken(folder: Path) -> bool:
     """Return whether there is something where a folder is to be; an empty one is nothing."""
-    return folder.exists() and not (folder.is_dir() and next(folder.iterdir(), None) is None)
+    return any(folder.iterdir()) if folder.is_dir() else folder.exists()
 
 
 def check_folder(folder: AnyPath, *, overwrite: bool = False, instead: str = "") -> None:

@@ -43,7 +43,7 @@ def find_driver(policy: str, world: Config, *, also: Sequence[str] = ()) -> Who:
     Args:
         policy: the name.
         world: where it is to drive.
-        also: other names that the caller knows, for whoever mistypes one.
+        also: further names that may have been meant, to be suggested where none is found.
 
     Raises:
         InputError: it is neither, damaged, or learned on another observation than the world's; a colon behind who acts

@@ -239,3 +239,15 @@ def test_an_evaluation_keeps_what_made_it(rail_sumo, tmp_path):
     assert about["command"] == "rail-sumo eval keep --episodes 1 --seed 5 --set episode.duration_s=5.0 --out 'my out'"
     assert about["seed"] == 5
     assert config_file.load(tmp_path / "my out" / "world.toml").episode.duration_s == 5.0
+
+
+@pytest.mark.parametrize(("ttc_s", "drawn_at"), [(np.inf, 60.0), (12.0, 12.0)])
+def test_where_all_episodes_are_equal_the_axis_leaves_room_also_for_one_that_was_not_driven(
+    evaluation, ttc_s, drawn_at
+):
+    _, tables = evaluation
+    row = {name: tables.episodes[name].iloc[0] for name in tables.episodes} | {"policy": "rule"}
+    undriven = {"policy": "rule", "episode": 0, "seed": 1, "network": row["network"], "end_reason": "not begun"}
+    episodes = report.episodes([undriven] + [row | {"episode": k, "min_ttc_s": ttc_s} for k in (1, 2)])
+    axes = plot_episodes.points(episodes, ["rule"]).axes[-1]
+    assert axes.get_xlim() == (drawn_at - 1.0, drawn_at + 1.0)

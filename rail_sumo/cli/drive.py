@@ -74,7 +74,8 @@ def evaluate(
         run.describe(whole, world, typed(), seed=seed, **more)
 
     try:
-        with progress_bars() as bars, files.whole_folder(out, overwrite=overwrite) if out else nullcontext() as whole:
+        place = files.whole_folder(out, overwrite=overwrite) if out and fcd else nullcontext()
+        with progress_bars() as bars, place as whole:
             tables = run.evaluate(
                 who,
                 world,
@@ -82,7 +83,7 @@ def evaluate(
                 seed=seed,
                 workers=n_workers,
                 observer=bars,
-                fcd=whole / FCD if whole and fcd else None,
+                fcd=whole / FCD if whole else None,
                 reference=reference,
             )
             if whole:
@@ -96,6 +97,11 @@ def evaluate(
         show(stop.tables, out)
         print(f"rail-sumo: interrupted {after}", file=sys.stderr)
         raise typer.Exit(130) from None
+    if (
+        out and not fcd
+    ):  # only after driving: what stops that leaves nothing behind, and is not told as a failure to write
+        with files.whole_folder(out, overwrite=overwrite) as whole:
+            keep(tables, whole)
     show(tables, out)
     if out and fcd:
         print(f"floating-car data in {out / FCD}")

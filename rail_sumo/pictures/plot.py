@@ -3,7 +3,7 @@
 import itertools
 import re
 import textwrap
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from importlib.util import find_spec
 from pathlib import Path
 from typing import TYPE_CHECKING, Literal
@@ -123,16 +123,23 @@ def with_bands(curves: Mapping[str, Floats], across: str, what: str, *, columns:
         colour, style, marker = (looks[at % len(looks)] for looks in (_COLOURS, _STYLES, _MARKERS))
         axes.plot(where, mean, style, marker=marker, color=colour, label=name)
         axes.fill_between(where, low, high, color=colour, alpha=0.15, linewidth=0.0)
-    heights = np.unique(np.concatenate([curve[:, 1:].ravel() for curve in curves.values()]))
-    heights = heights[~np.isnan(heights)]
-    if len(heights) == 1:  # matplotlib would show hundredths of nothing
-        axes.set_ylim(heights[0] - 1.0, heights[0] + 1.0)
+    leave_room(axes.set_ylim, np.concatenate([curve[:, 1:].ravel() for curve in curves.values()]))
     axes.set_xlabel(across)
     axes.set_ylabel(textwrap.fill(what, 40))  # or it is cut off at the picture's edge
     axes.grid(alpha=0.3)
     axes.spines[["top", "right"]].set_visible(False)
     figure.legend(loc="outside upper center", ncols=columns, frameon=False)
     return figure
+
+
+def leave_room(set_limits: Callable[[float, float], object], drawn: Floats) -> None:
+    """Let an axis reach from 1 below to 1 above a value that is the only one drawn; NaN is not.
+
+    By itself matplotlib shows hundredths, as if there were something to tell apart.
+    """
+    values = np.unique(drawn[~np.isnan(drawn)])
+    if len(values) == 1:
+        set_limits(values[0] - 1.0, values[0] + 1.0)
 
 
 def require_matplotlib() -> None:

@@ -8,6 +8,8 @@ from typing import TYPE_CHECKING
 import numpy as np
 import pandas as pd
 
+from rail_sumo.pictures.plot import leave_room
+
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
@@ -37,16 +39,15 @@ def points(episodes: pd.DataFrame, policies: Sequence[str]) -> "Figure":
     figure = Figure(figsize=(9.0, 1.2 + 0.28 * len(policies) * 2 + 2.0), layout="constrained")
     spread = np.random.default_rng(0)  # points that lie on one another are moved apart, the same way each time
     for axes, (metric, label) in zip(figure.subplots(2, 3, sharey=True).flat, POINTS.items(), strict=True):
+        drawn = episodes[metric].clip(upper=FARTHEST_TTC_S) if metric == "min_ttc_s" else episodes[metric]
         for at, policy in enumerate(policies):
-            values = episodes.loc[episodes["policy"] == policy, metric].dropna().to_numpy(np.float64)
-            values = np.minimum(values, FARTHEST_TTC_S) if metric == "min_ttc_s" else values
+            values = drawn[episodes["policy"] == policy].dropna().to_numpy(np.float64)
             axes.plot(
                 values, at + spread.uniform(-0.2, 0.2, len(values)), "o", markersize=3, alpha=0.6, color="#0072b2"
             )
             if len(values):
                 axes.plot([values.mean()] * 2, [at - 0.35, at + 0.35], color="#d55e00", linewidth=2)
-        if episodes[metric].nunique() == 1:
-            axes.set_xlim(*(episodes[metric].iloc[0] + np.array([-1.0, 1.0])))
+        leave_room(axes.set_xlim, drawn.to_numpy(np.float64, na_value=np.nan))
         axes.set_yticks(range(len(policies)), policies)
         axes.set_ylim(len(policies) - 0.5, -0.5)
         axes.set_xlabel(label)

@@ -272,10 +272,10 @@ def _read(file: Path) -> pd.DataFrame:
 def _table(table: pd.DataFrame, caption: str = "", *, is_sortable: bool = True) -> str:
     """Return a table as HTML; numbers with four digits, and sortable by their full value."""
     cells = [[_cell(value) for value in row] for row in table.itertuples(index=False, name=None)]
-    holds_words = [bool(cells) and cells[0][column].startswith(WORDS) for column in range(table.shape[1])]
+    first = cells[0] if cells else [""] * table.shape[1]
     heads = "".join(
-        f'<th scope="col"{" class=words" if is_left else ""}>{html.escape(str(name))}</th>'
-        for name, is_left in zip(table, holds_words, strict=True)
+        f'<th scope="col" class="{"words" if cell.startswith(WORDS) else "number"}">{html.escape(str(name))}</th>'
+        for name, cell in zip(table, first, strict=True)
     )
     rows = "".join(f"<tr>{''.join(row)}</tr>\n" for row in cells)
     below = f"<caption>{html.escape(caption)}</caption>" if caption else ""

@@ -72,24 +72,33 @@ class Demand:
         return tuple(path for given in (*self.routes, *self.additional) for path in _with_included(given))
 
     @property
+    def contents(self) -> list["_Content"]:
+        """What is in each of the files, which are read once."""
+        return [_content(path, state_of(path)) for path in self.files]
+
+    @property
     def has_traffic(self) -> bool:
         """Whether it puts anybody on the road; else traffic is made for the host."""
-        return any(_content(path, state_of(path)).departures_s for path in self.files)
+        return any(one.departures_s for one in self.contents)
+
+    @property
+    def may_have_more(self) -> bool:
+        """Whether SUMO may make other vehicles for it than the files name."""
+        return any(one.may_have_more for one in self.contents) or not UNREAD_OPTIONS.isdisjoint(self.options)
 
     @property
     def departs_s(self) -> tuple[float, float]:
         """When the first vehicle is to depart, and the last; inf of a flow without an end."""
-        spans = [_content(path, state_of(path)).departures_s for path in self.files]
+        spans = [one.departures_s for one in self.contents]
         return min(first for first, _ in filter(None, spans)), max(last for _, last in filter(None, spans))
 
     @property
     def may_have_cars(self) -> bool:
         """Whether any vehicle may be a car, as far as the types tell; one of a distribution may be anything."""
-        contents = [_content(path, state_of(path)) for path in self.files]
-        if any(one.may_have_more for one in contents) or not UNREAD_OPTIONS.isdisjoint(self.options):
-            return True
+        contents = self.contents
         classes = {kind: vclass for one in contents for kind, vclass in one.types.items()}
-        return any(classes.get(kind, DEFAULT_CLASS) in CARS for one in contents for kind in one.kinds)
+        kinds = {kind for one in contents for kind in one.kinds}
+        return self.may_have_more or any(classes.get(kind, DEFAULT_CLASS) in CARS for kind in kinds)
 
     @property
     def folders_written(self) -> set[Path]:
@@ -184,9 +193,9 @@ def require_vehicle(demand: Demand, name: str) -> None:
     What may have it: a vehicle or trip of that name, a flow that has so many, as `flow.3`, or a vehicle that an option
     multiplies. Of a demand for which SUMO may make vehicles with ids of its own, nothing is certain.
     """
-    contents = [_content(path, state_of(path)) for path in demand.files]
-    if any(one.may_have_more for one in contents) or not UNREAD_OPTIONS.isdisjoint(demand.options):
+    if demand.may_have_more:
         return
+    contents = demand.contents
     vehicles = frozenset[str]().union(*(one.vehicles for one in contents))
     flows = {flow: _multiplied(most, demand) for one in contents for flow, most in one.flows.items()}
     whose, _, number = name.rpartition(".")
@@ -216,7 +225,7 @@ def require_type(demand: Demand, kind: str) -> None:
     """Raise InputError if the demand certainly has no vehicle type of this id, as which `sumo:TYPE` is to drive."""
     if not UNREAD_OPTIONS.isdisjoint(demand.options):
         return
-    known = frozenset[str]().union(*(_content(path, state_of(path)).types for path in demand.files))
+    known = frozenset[str]().union(*(one.types for one in demand.contents))
     if not known:
         raise InputError(
             f"driver 'sumo:{kind}' is a vehicle of your demand's, which names no types; name its files with --routes"
