@@ -75,20 +75,19 @@ def whole_folder(folder: AnyPath, *, overwrite: bool = False) -> Iterator[Path]:
     folder = Path(folder)
     check_folder(folder, overwrite=overwrite)
     with writing(folder):
-        merging = folder.exists()
-        place = folder if merging else folder.parent
-        place.mkdir(parents=True, exist_ok=True)
+        place = _nearest(folder)  # on the same disk, and what is above a new folder is made with it, or not at all
         with tempfile.TemporaryDirectory(dir=place, prefix=f".{folder.name}.") as scratch:
             partial = Path(scratch, "whole")
             partial.mkdir()
             yield partial
-            if merging:
+            if place == folder:
                 for new in sorted(partial.iterdir()):
                     old = folder / new.name
                     if old.is_dir():
                         shutil.rmtree(old)
                     new.replace(old)
             else:
+                folder.parent.mkdir(parents=True, exist_ok=True)
                 partial.rename(folder)
 
 
@@ -101,7 +100,12 @@ def writing(path: Path) -> Iterator[None]:
         raise InputError(f"cannot write '{path}': {error.strerror or error}") from None
 
 
+def _nearest(folder: Path) -> Path:
+    """Return the folder, or what is there of the folders above it."""
+    return next(path for path in (folder, *folder.absolute().parents) if path.exists())
+
+
 def _check_writable(folder: Path) -> None:
-    nearest = next(path for path in (folder, *folder.absolute().parents) if path.exists())
+    nearest = _nearest(folder)
     if not nearest.is_dir() or not os.access(nearest, os.W_OK):
         raise InputError(f"cannot write to '{folder}': '{nearest}' is not a writable folder")

@@ -80,6 +80,8 @@ BAD = {
     "eval file": "run directory 'file' not found",
     "eval cut": "'cut/clone.safetensors' is truncated or damaged (SafetensorError: ",
     "eval keep --out exists": "output folder 'exists' exists; choose another, or replace its tables with --overwrite",
+    "eval keep --episodes 0 --out new/folder": "episodes must be at least 1; got 0",
+    "eval keep --episodes 0 --out new/folder --fcd": "episodes must be at least 1; got 0",
     "eval keep --out file/out": "cannot write to 'file/out': '",
     "eval keep --fcd --out 12:30": "SUMO writes floating-car data to no path with ':' or '$' in it; choose another",
     "train --set train.expert=none": "no expert here: 'none/manifest.json' is missing; train one (rail-sumo expert tr",
