@@ -113,11 +113,27 @@ def test_bad_input_is_one_clear_line_and_exit_2(arguments, rail_sumo, tmp_path):
     assert sorted(tmp_path.rglob("*")) == before
 
 
-@pytest.mark.parametrize("arguments", ["evl keep", "eval", "eval keep --episodes few", "eval keep --nonsense"])
-def test_misused_commands_exit_2(arguments, rail_sumo):
+MISUSED = {
+    "evl keep": "no such command 'evl'. Did you mean 'eval'; see --help",
+    "eval": "missing argument 'POLICY...'; see --help",
+    "eval keep --episodes few": "invalid value for '--episodes': ",
+    "eval keep --episodes": "option '--episodes' requires an argument; see --help",
+    "eval keep --epsodes 3": "no such option: --epsodes (Possible options: --episodes); see --help",
+}
+
+
+@pytest.mark.parametrize("arguments", MISUSED)
+def test_a_mistyped_command_is_one_line_and_exit_2(arguments, rail_sumo):
     code, out, err = rail_sumo(*arguments.split())
     assert (code, out) == (2, "")
-    assert "Traceback" not in err
+    assert err.startswith(f"rail-sumo: {MISUSED[arguments]}")
+    assert err.count("\n") == 1
+
+
+def test_without_a_command_the_help_is_printed(rail_sumo):
+    code, out, err = rail_sumo()
+    assert (code, err) == (2, "")
+    assert "Usage: rail-sumo" in out
 
 
 def test_our_own_mistakes_keep_their_traceback(rail_sumo, monkeypatch):

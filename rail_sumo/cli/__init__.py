@@ -22,10 +22,13 @@ def main() -> None:
     """Run the command line. A user's mistake is one line on stderr and exit code 2."""
     signal.signal(signal.SIGTERM, signal.default_int_handler)  # what a cluster or `timeout` sends is as Ctrl-C
     try:
-        app()
+        sys.exit(app(standalone_mode=False) or 0)
     except InputError as error:
         print(f"rail-sumo: {error}", file=sys.stderr)
-        sys.exit(2)
+    except typer.TyperException as error:
+        if said := error.format_message():  # it is empty where the help was printed
+            print(f"rail-sumo: {said[0].lower()}{said[1:].rstrip('.?')}; see --help", file=sys.stderr)
+    sys.exit(2)
 
 
 def _print_version(wanted: bool) -> None:
