@@ -118,17 +118,17 @@ def stretch_of(car: Inserted, config: Config) -> Stretch:
 
 
 def nobody(config: Config, demand: Demand, now_s: float) -> str:
-    """Return why there is no host: no car has departed by now that it could replace."""
+    """Return why there is no host: nothing has departed by now that it could replace."""
     first_s, last_s = demand.departs_s
     until = "on" if math.isinf(last_s) else f"to {last_s:.0f} s"
-    asked = config.traffic.host
+    asked, kind = config.traffic.host, "car" if demand.may_have_cars else "vehicle"
     by_now = (
-        "no car that the host could replace departed"
+        f"no {kind} that the host could replace departed"
         if asked == "replaces"
         else f"vehicle '{asked}', which traffic.host names, has not departed"
     )
     along = " along network.course" if config.network.course else ""
     return (
         f"{by_now}{along} by {now_s:.0f} s; the demand's vehicles depart from {first_s:.0f} s {until}: change "
-        f"traffic.begin_s, or set traffic.host to 'added' or to a car's id"
+        f"traffic.begin_s, or set traffic.host to 'added' or to a {kind}'s id"
     )
