@@ -5,6 +5,7 @@ Importing it registers the environment `RailSumo/Highway-v0` with Gymnasium; nei
 """
 
 from importlib import import_module
+from importlib.metadata import version
 from typing import TYPE_CHECKING, Any
 
 import gymnasium
@@ -13,7 +14,9 @@ if TYPE_CHECKING:
     from rail_sumo.highway.make import parallel_env
     from rail_sumo.roster import load_driver
 
-__all__ = ["load_driver", "parallel_env"]
+    __version__: str
+
+__all__ = ["__version__", "load_driver", "parallel_env"]
 _ROOMS = {"load_driver": "rail_sumo.roster", "parallel_env": "rail_sumo.highway.make"}
 
 gymnasium.register(
@@ -24,6 +27,12 @@ gymnasium.register(
 
 
 def __getattr__(name: str) -> Any:
-    if name in __all__:  # imported when it is asked for: SUMO comes with it
+    if name == "__version__":
+        return version("rail-sumo")
+    if name in _ROOMS:  # imported when it is asked for: SUMO comes with it
         return getattr(import_module(_ROOMS[name]), name)
     raise AttributeError(f"module 'rail_sumo' has no attribute '{name}'")
+
+
+def __dir__() -> list[str]:
+    return __all__

@@ -1,15 +1,15 @@
 """Watch: episodes driven once more with a camera, or any SUMO run's floating-car data, as a page to open."""
 
 import math
-from collections.abc import Mapping
+import re
+from collections.abc import Iterable, Mapping
 from itertools import chain, zip_longest
 from pathlib import Path
-from urllib.parse import quote
 
 import numpy as np
 import pandas as pd
 
-from rail_sumo import assets, learners, rollout
+from rail_sumo import assets, learners, rollout, roster
 from rail_sumo.config import Config
 from rail_sumo.errors import InputError
 from rail_sumo.files import check_file
@@ -54,6 +54,7 @@ def write(
     if len(policies) > SIDE_BY_SIDE:
         raise InputError(f"a replay shows one driver, or two side by side; got {len(policies)}: {', '.join(policies)}")
     check_file(out, overwrite=overwrite)
+    policies = {name: roster.who_drives(who, world) for name, who in policies.items()}
     traffic = traffic_seed(seed, EVALUATION, episode)
     shots = [rollout.film(Task(who, world, traffic)) for who in policies.values()]
     below = ground.near(shots[0][0].network, *np.concatenate([camera.places for camera, _ in shots], axis=1))
@@ -139,8 +140,18 @@ def write_most_telling(
 
     Arguments as in `write` and `most_telling`.
     """
+    names = _file_names(policies)
     pages = []
     for policy, episode in most_telling(episodes, number):
-        pages.append(folder / f"{quote(policy, safe='')}-{episode}.html")
+        pages.append(folder / f"{names[policy]}-{episode}.html")
         write({policy: policies[policy]}, world, pages[-1], seed=seed, episode=episode, judges=judges)
     return pages
+
+
+def _file_names(policies: Iterable[str]) -> dict[str, str]:
+    """Return a file's name for each policy: `sumo-truck` for sumo:truck; with a number where two come to the same."""
+    names: dict[str, str] = {}
+    for policy in policies:
+        name = re.sub(r"[^\w.-]+", "-", policy).strip("-.") or "policy"
+        names[policy] = name if name not in names.values() else f"{name}-{len(names)}"
+    return names

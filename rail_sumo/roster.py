@@ -12,27 +12,38 @@ from rail_sumo.rollout import Who, driver_of
 from rail_sumo.run_directory import CONFIG, RunDirectory
 from rail_sumo.tables import report
 
+INSTEAD = "acc"
+"""What drives a share of a demand, and no single host; see `studies.sweep`."""
 MODES = (ARGMAX, SAMPLED)
 """How a learned policy may act, as `runs/first:sampled`; without a colon as it was trained."""
 
 
-def world(policies: Iterable[str], overrides: Iterable[str] = ()) -> Config:
-    """Return the world to evaluate in: the first run directory's among the policies, with `overrides` on top.
+def world(policies: Iterable[str], overrides: Iterable[str] = (), *, config: Path | None = None) -> Config:
+    """Return the world to evaluate in, with `overrides` on top.
 
-    Drivers known by name alone drive in the default world.
+    Args:
+        policies: who drives. Where no configuration is named it is that of the first run directory among them, and the
+            default for drivers known by name alone.
+        overrides: as of `config_file.load`.
+        config: a configuration's file.
 
     Raises:
-        InputError: a policy is neither, or what `config_file.load` raises.
+        InputError: a policy is neither, it senses otherwise than `overrides` ask, or what `config_file.load` raises.
     """
     named = [_name_and_mode(policy)[0] for policy in policies]
     folders = [Path(name) for name in named if not drivers.is_name(name)]
     for folder in folders:
         _require_folder(folder)
-    chosen = config_file.load(folders[0] / CONFIG if folders else None, overrides)
+    chosen = config_file.load(config or (folders[0] / CONFIG if folders else None), overrides)
+    require_senses(policies, chosen, overrides)
+    return chosen
+
+
+def require_senses(policies: Iterable[str], world: Config, overrides: Iterable[str]) -> None:
+    """Raise InputError if overrides ask for other senses than one of the policies has: a driver keeps its own."""
     if any(override.startswith(("lidar.", "observation.")) for override in overrides):
         for policy in policies:
-            drivers.require_same_senses(find_driver(policy, chosen), chosen, f"policy '{policy}'")
-    return chosen
+            drivers.require_same_senses(find_driver(policy, world), world, f"policy '{policy}'")
 
 
 def find_driver(policy: str, world: Config, *, also: Sequence[str] = ()) -> Who:
@@ -56,6 +67,21 @@ def find_driver(policy: str, world: Config, *, also: Sequence[str] = ()) -> Who:
     if not isinstance(who, PolicyParameters):
         raise InputError(f"'{name}' acts in one way; leave out ':{mode}'")
     return who.acting(mode)
+
+
+def who_drives(given: Who, world: Config) -> Who:
+    """Return who drives: whom a name stands for, as in `find_driver`, or what is given, if it can drive.
+
+    Raises:
+        InputError: no such driver, or an object that is none.
+    """
+    if isinstance(given, str):
+        return find_driver(given, world)
+    if not isinstance(given, PolicyParameters) and not (
+        hasattr(given, "senses") and callable(getattr(given, "decide", None))
+    ):
+        raise InputError(f"a driver is a name, a run's policy, or an object with senses and decide(); got {given!r}")
+    return given
 
 
 def _name_and_mode(policy: str) -> tuple[str, str]:
@@ -110,6 +136,10 @@ def load_driver(policy: str, *, seed: int = 0) -> drivers.Network:
 
 
 def _require_folder(policy: Path, also: Sequence[str] = ()) -> None:
+    if str(policy) == INSTEAD and INSTEAD not in also:
+        raise InputError(f"'{policy}' drives a share of a demand; compare it in: rail-sumo sweep share")
+    if policy.suffix == ".toml":
+        raise InputError(f"'{policy}' is a configuration, not a driver; name it by --config")
     if not policy.exists():
         learned = set(drivers.SHIPPED) - set(assets.SHIPPED_EXPERTS)
         either_way = [f"{name}:{mode}" for name, mode in itertools.product(learned, MODES)]

@@ -3,6 +3,7 @@
 import itertools
 import json
 import math
+import platform
 from collections.abc import Iterable, Mapping
 from importlib.metadata import version
 from pathlib import Path
@@ -87,7 +88,8 @@ def evaluate(
     """Drive every policy through the same held-out episodes and return the tables.
 
     Args:
-        policies: the name in the tables, and who drives.
+        policies: the name in the tables, and who drives: a name as of `roster.find_driver`, what that returns, or a
+            driver of your own.
         world: the same for all of them.
         episodes: how many; number i has the same traffic for every policy, and in every call with this seed.
         seed: of the traffic, which no training with any seed has met.
@@ -109,6 +111,7 @@ def evaluate(
         raise InputError("name at least one policy to evaluate")
     if reference is not None and reference not in policies:
         raise InputError(f"reference '{reference}' is not among the policies: {', '.join(policies)}; name it there too")
+    policies = {name: roster.who_drives(who, world) for name, who in policies.items()}
     require_drivable(world, episodes, policies.values())
     fcd = Path(fcd) if fcd else None
     if fcd:
@@ -295,7 +298,7 @@ def require_drivable(world: Config, episodes: int = 1, who: Iterable[Who] = ("ke
 
 
 def describe(folder: Path, world: Config, command: str, **more: Any) -> None:
-    """Write beside tables what made them: the command, the world and the versions.
+    """Write beside tables what made them: the command, the world, the SHA-256 of its files, and the versions.
 
     Args:
         folder: of the tables.
@@ -303,14 +306,15 @@ def describe(folder: Path, world: Config, command: str, **more: Any) -> None:
         command: what was typed.
         more: what else there is to tell, by name.
     """
-    about = {"command": command, **more, **_versions()}
+    about = {"command": command, **more, "files": training.world_inputs(world), **_versions()}
     for name, text in ((report.WORLD, dumps(world)), (report.ORIGIN, json.dumps(about, indent=2) + "\n")):
         with whole_file(folder / name) as partial:
             partial.write_text(text, encoding="utf-8")
 
 
 def _versions() -> dict[str, str]:
-    return {"libsumo": version("libsumo"), "rail-sumo": assets.own_version()}
+    others = {name: version(name) for name in ("libsumo", "numpy", "torch")}
+    return {"rail-sumo": assets.own_version(), "python": platform.python_version(), **others}
 
 
 def manifest(folder: Path, means: Mapping[str, float], seed: int) -> str:

@@ -6,6 +6,7 @@ iteration depends on.
 """
 
 import csv
+import hashlib
 import io
 import json
 from collections.abc import Mapping
@@ -25,6 +26,7 @@ from rail_sumo.errors import InputError
 from rail_sumo.files import AnyPath, is_taken, whole_file, whole_folder
 from rail_sumo.highway.observation import feature_names
 from rail_sumo.policy import PolicyParameters, Shape, Whitening
+from rail_sumo.tables.report import WORLD
 
 CONFIG = "config.toml"
 POLICY = "policy.safetensors"
@@ -50,6 +52,8 @@ PROGRESS_COLUMNS = (
     "step_norm",  # how far theta moved
 )
 
+CHECKSUM = "sha256"
+"""The key, in what a file tells of itself, of the SHA-256 of its tensors."""
 JUDGES = "judge."
 """What the names of the judge's tensors begin with among all that a checkpoint holds."""
 
@@ -85,7 +89,8 @@ class RunDirectory:
         if not path.is_dir():
             raise InputError(f"run directory '{path}' not found")
         if not (path / CONFIG).is_file():
-            raise InputError(f"'{path}' is not a run directory: it has no {CONFIG}")
+            is_evaluation = " (it is an evaluation: name those who drove there)" if (path / WORLD).is_file() else ""
+            raise InputError(f"'{path}' is not a run directory: it has no {CONFIG}{is_evaluation}")
         self.path = path
         self.config = load(path / CONFIG)
         clone, _, self._about = _read_driver(path / CLONE)
@@ -141,10 +146,22 @@ class RunDirectory:
         """Return where training stands."""
         path = self.path / CHECKPOINT
         learned, memory, about = _read_driver(path)
+        if about.get("made_of", self._made_of) != self._made_of:
+            raise InputError(
+                f"'{path}' is of another run, or {CONFIG} beside it was changed; put both back as they were, or start "
+                f"another run with --out"
+            )
         try:
             return Checkpoint(learned, memory, tuple(about["progress"]))
         except KeyError as error:
             raise _damaged(path, error) from None
+
+    @property
+    def _made_of(self) -> str:
+        """What its iterations follow from, as SHA-256."""
+        fixed = {key: value for key, value in self.config.flat().items() if key not in MAY_CHANGE}
+        followed = json.dumps([fixed, self.seed, self._about["inputs"]], sort_keys=True)
+        return hashlib.sha256(followed.encode()).hexdigest()
 
     def save(self, checkpoint: Checkpoint) -> None:
         """Store an iteration.
@@ -159,7 +176,7 @@ class RunDirectory:
             _write(self.path / JUDGE, _bytes(judge, iteration))
         _write(self.path / PROGRESS, _csv(checkpoint.progress))
         # Last, so that whatever is newer than it will be written again.
-        about = {"features": self._about["features"], "progress": checkpoint.progress}
+        about = {"features": self._about["features"], "progress": checkpoint.progress, "made_of": self._made_of}
         _write(self.path / CHECKPOINT, _driver_bytes(learned, about, checkpoint.memory))
 
     def require_same(self, config: Config, seed: int, inputs: Mapping[str, str]) -> None:
@@ -237,7 +254,7 @@ def _read_driver(path: Path) -> tuple[PolicyParameters, Tensors, dict[str, Any]]
 
 def _bytes(tensors: Tensors, about: dict[str, Any]) -> bytes:
     # One metadata key: safetensors writes several in random order, and equal runs must give equal bytes.
-    text = json.dumps(about | {"version": own_version()}, sort_keys=True)
+    text = json.dumps(about | {"version": own_version(), CHECKSUM: _checksum(tensors)}, sort_keys=True)
     return safetensors.numpy.save(tensors, metadata={"rail_sumo": text})
 
 
@@ -245,11 +262,22 @@ def _read(path: Path) -> tuple[Tensors, dict[str, Any]]:
     try:
         with safe_open(path, framework="numpy") as file:
             tensors = {name: np.asarray(file.get_tensor(name)) for name in file.keys()}  # noqa: SIM118
-            return tensors, json.loads(file.metadata()["rail_sumo"])
+            about = json.loads(file.metadata()["rail_sumo"])
+        if about.get(CHECKSUM, _checksum(tensors)) != _checksum(tensors):  # files from before it was there pass
+            raise ValueError("its numbers are not those that were written")
+        return tensors, about
     except FileNotFoundError:
-        raise InputError(f"'{path.parent}' is not a complete run directory: it has no {path.name}") from None
+        raise InputError(
+            f"'{path.parent}' is not a complete run directory: it has no {path.name}; restore it or train again"
+        ) from None
     except (OSError, SafetensorError, KeyError, TypeError, ValueError) as error:
         raise _damaged(path, error) from None
+
+
+def _checksum(tensors: Tensors) -> str:
+    """Return the SHA-256 of numbers, which safetensors does not keep."""
+    named = (name.encode() + np.ascontiguousarray(tensors[name]).tobytes() for name in sorted(tensors))
+    return hashlib.sha256(b"".join(named)).hexdigest()
 
 
 def _damaged(path: Path, error: Exception) -> InputError:

@@ -2,6 +2,7 @@
 
 import itertools
 import time
+from collections.abc import Iterator
 from pathlib import Path
 
 import numpy as np
@@ -12,7 +13,7 @@ from rail_sumo.errors import InputError
 from rail_sumo.highway import metrics, varied
 from rail_sumo.highway.network import demand
 from rail_sumo.highway.observation import bounds, feature_names
-from rail_sumo.imitation.demonstrations import Demonstrations
+from rail_sumo.imitation.demonstrations import Demonstrations, recorded_on
 from rail_sumo.learners import Iteration, Practice, learner_of
 from rail_sumo.policy import ARGMAX, SAMPLED, PolicyParameters, Shape, Whitening
 from rail_sumo.rollout import SILENT, Observer, WorkerCount
@@ -44,17 +45,17 @@ def learn(
         drivers.require_same_senses(drivers.load_expert(config), config, "the expert, who is to be asked,")
     demonstrations = demonstrations_of(given)
     inputs = inputs_of(config)
-    if run is None:
-        if learner_of(config).reads_demonstrations and config.policy.masked and demonstrations.allowed.all():
-            observer.note(UNTOLD)
-        run = RunDirectory.create(out, config, seed, inputs, _start(config, demonstrations, seed))
-    else:
-        run.go_on(config, seed, inputs)
+    with rollout.workers(workers) as pool:  # before the run's folder is there: Ray may be missing
+        if run is None:
+            for note in _doubts(config, demonstrations):
+                observer.note(note)
+            run = RunDirectory.create(out, config, seed, inputs, _start(config, demonstrations, seed))
+        else:
+            run.go_on(config, seed, inputs)
 
-    checkpoint = run.checkpoint()
-    observer.start(config.train.learner, config.train.n_iterations, done=checkpoint.iteration)
-    started = time.perf_counter() - (checkpoint.progress[-1]["seconds"] if checkpoint.progress else 0.0)
-    with rollout.workers(workers) as pool:
+        checkpoint = run.checkpoint()
+        observer.start(config.train.learner, config.train.n_iterations, done=checkpoint.iteration)
+        started = time.perf_counter() - (checkpoint.progress[-1]["seconds"] if checkpoint.progress else 0.0)
         iterations = learner_of(config).iterate(Practice(run, pool), checkpoint, demonstrations)
         for iteration in itertools.islice(iterations, config.train.n_iterations - checkpoint.iteration):
             row = _progress(iteration, checkpoint.progress, time.perf_counter() - started)
@@ -62,6 +63,22 @@ def learn(
             run.save(checkpoint)
             observer.advance(row)
     return run
+
+
+def _doubts(config: Config, demonstrations: Demonstrations) -> Iterator[str]:
+    """Yield what may keep a learner from its expert's level, though it can be learned."""
+    if not learner_of(config).reads_demonstrations:
+        return
+    if config.policy.masked and demonstrations.allowed.all():
+        yield UNTOLD
+    theirs = set(map(assets.network_name, recorded_on(_demonstrations_file(config))))
+    ours = set(map(assets.network_name, config.varied.networks or [config.network.file]))
+    if theirs and theirs != ours:
+        yield (
+            f"the demonstrations were recorded on {', '.join(sorted(theirs))}, and this trains on "
+            f"{', '.join(sorted(ours))}: a judge may tell the roads apart in place of the drivers; record an expert "
+            f"there by rail-sumo expert record"
+        )
 
 
 def require_loss(config: Config) -> None:

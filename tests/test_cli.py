@@ -225,9 +225,11 @@ def test_a_sumocfg_brings_its_network_demand_and_options_and_what_is_ours_is_tol
     (tmp_path / "a").mkdir()
     (tmp_path / "a" / "my.net.xml").write_bytes(assets.network("highway3").read_bytes())
     (tmp_path / "a" / "my.rou.xml").write_bytes(assets.routes("highway3").read_bytes())
-    options = '<n value="my.net.xml"/><r value="my.rou.xml"/><begin value="0:02:00"/><scale v="0.5"/><end v="9"/>'
+    options = '<n value="my.net.xml"/><r value="my.rou.xml"/><begin value="0:02:00"/><scale v="0.5"/>'
+    options += '<end v="9"/><step-length v="1"/>'
     (tmp_path / "a" / "my.sumocfg").write_text(f"<configuration>{options}</configuration>")
-    note = "rail-sumo: does not use these options of 'a/my.sumocfg', and sets them itself: end\n"
+    note = "rail-sumo: does not use these options of 'a/my.sumocfg', and sets them itself: "
+    note += "end 9, step-length 1; steps take 0.1 s\n"
     code, printed, err = rail_sumo("config", "--network", "a/my.sumocfg")
     (tmp_path / "read.toml").write_text(printed)
     world = config_file.load(tmp_path / "read.toml")

@@ -63,6 +63,7 @@ def test_the_table_shown_is_what_the_command_prints_of_such_figures():
         beside = [float(figure) for figure in re.findall(r"[\d.]+", ratios)] or [np.nan] * 6
         of_metric = dict.fromkeys(METRICS, (0.0, np.nan, np.nan, np.nan))
         of_metric |= {metric: (*values[2 * n : 2 * n + 2], *beside[2 * n : 2 * n + 2]) for n, metric in enumerate(TOLD)}
+        of_metric["distance_m"] = (7222.0, np.nan, np.nan, np.nan)
         of_metric |= {metric: (values[6 + n], np.nan, np.nan, np.nan) for n, metric in enumerate(ALONE)}
         for metric, (mean, reach, ratio, ratio_reach) in of_metric.items():
             rows.append(

@@ -249,8 +249,9 @@ def test_the_terminal_shows_every_policy_with_its_ratio_within_100_columns():
     assert named == name  # whole, on however many lines
     assert lines[expert].split() == ["expert", "70.0", "±", "0.0", *equal, *equal, "1.0", "1.0", "1.00", "2"]
     assert not lines[expert + 1].strip()  # of itself it is no ratio
-    assert "means over 2 episodes ± 95 % interval (fewer than 5 tell little); below, ratios to expert" in " ".join(
-        " ".join(lines).split()
+    assert (
+        "means over 2 episodes of 0.0 km ± 95 % interval (fewer than 5 tell little); below, ratios to expert"
+        in " ".join(" ".join(lines).split())
     )
 
 
@@ -290,7 +291,7 @@ def test_the_terminal_tells_which_policy_is_the_reference():
     # One episode tells no interval, which is told.
     three = report.episodes([*rows("rule", [60.0]), *rows("mine", [66.0]), *rows("expert", [72.0])])
     lines = printed(report.summary(three, reference="rule"))
-    assert "one episode: no interval; below, ratios to rule" in " ".join(lines)
+    assert "one episode of 0.0 km: no interval; below, ratios to rule" in " ".join(lines)
     assert not any("±" in line for line in lines)
     assert [lines[line_of(name, lines) + 1].split()[:1] for name in ("mine", "expert  ")] == [["1.10"], ["1.20"]]
 

@@ -24,7 +24,7 @@ from rail_sumo.imitation import gail
 from rail_sumo.imitation.demonstrations import Demonstrations
 from rail_sumo.policy import PolicyParameters
 from rail_sumo.records import DECISION_COLUMNS, METRICS, MetaAction, Trajectory
-from rail_sumo.run_directory import CHECKPOINT, CLONE, JUDGE, POLICY, PROGRESS, PROGRESS_COLUMNS, RunDirectory
+from rail_sumo.run_directory import CHECKPOINT, CLONE, CONFIG, JUDGE, POLICY, PROGRESS, PROGRESS_COLUMNS, RunDirectory
 from rail_sumo.tables import report
 
 N_FEATURES = 8
@@ -378,11 +378,32 @@ def test_a_missing_file_is_named_in_one_line(trained, small, file):
 def test_a_policy_of_another_shape_is_damaged(trained, small):
     path = trained / POLICY
     with safe_open(path, framework="numpy") as file:
-        about = file.metadata()
+        about = json.loads(file.metadata()["rail_sumo"])
+    about.pop("sha256")  # as in a file of an earlier version
     tensors = load_file(path)
-    save_file(tensors | {"theta": tensors["theta"][:-1]}, path, metadata=about)
+    save_file(tensors | {"theta": tensors["theta"][:-1]}, path, metadata={"rail_sumo": json.dumps(about)})
     with pytest.raises(InputError, match=r"damaged \(ValueError: theta must have shape"):
         roster.find_driver(str(trained), small)
+
+
+@pytest.mark.parametrize("file", [POLICY, CHECKPOINT])
+def test_a_number_that_changed_on_the_disk_is_damage(trained, small, file):
+    path = trained / file
+    content = bytearray(path.read_bytes())
+    content[-5] ^= 1
+    path.write_bytes(content)
+    with pytest.raises(InputError, match=rf"{file}' is truncated or damaged .*not those that were written.*restore it"):
+        RunDirectory(trained).policy() if file == POLICY else RunDirectory(trained).checkpoint()
+
+
+def test_a_checkpoint_of_another_run_or_another_configuration_is_refused(trained, small, tmp_path):
+    config = trained / CONFIG
+    as_it_was = config.read_text()
+    config.write_text(as_it_was.replace("step_size = 0.05", "step_size = 0.5"))
+    with pytest.raises(InputError, match=r"checkpoint.safetensors' is of another run, or config.toml beside it"):
+        RunDirectory(trained).checkpoint()
+    config.write_text(as_it_was)
+    assert RunDirectory(trained).checkpoint().iteration
 
 
 def test_an_existing_folder_is_refused_before_any_work(small, driven, tmp_path):

@@ -60,7 +60,7 @@ def test_the_host_enters_well_before_the_end_of_a_configuration(tmp_path, end, e
 def test_all_holds_but_what_must_be_ours_which_is_told_where_it_matters(tmp_path, capfd):
     keys, told = sumocfg.read(written(tmp_path, FULL))
     assert keys == {key: below(tmp_path, value) for key, value in KEYS.items()}
-    assert told == ["fcd-output", "end", "lateral-resolution"]
+    assert told == {"fcd-output": str(tmp_path / "fcd.xml"), "end": "9:00:00", "lateral-resolution": "0.8"}
     assert keys.keys() <= config.Config().flat().keys()
     assert sorted(path.name for path in tmp_path.iterdir()) == ["my.sumocfg"]  # no log, no output
     assert capfd.readouterr() == ("", "")
@@ -111,7 +111,7 @@ def test_a_path_of_another_computer_is_told_as_it_stands_in_the_configuration(tm
 def test_a_network_alone_leaves_the_rest_as_it_is(tmp_path):
     keys, told = sumocfg.read(written(tmp_path, '<configuration><net-file v="my.net.xml"/></configuration>'))
     assert keys == {"network.file": str(tmp_path / "my.net.xml")}
-    assert told == []
+    assert told == {}
 
 
 @pytest.mark.parametrize(

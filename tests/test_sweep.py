@@ -336,7 +336,7 @@ def test_on_the_command_line(monkeypatch, capsys, demand, tmp_path):
     assert code == 0
     assert "as they are" in out
     assert "one seed: no interval; 10 s each, after 20 s that do not count." in " ".join(out.split())
-    assert "tables, figures and sweep.md in runs/sweep" in out
+    assert "tables and sweep.md in runs/sweep" in out  # nothing is drawn here
     code, out, _ = call(*asked, *few, "--json")
     differences = pd.DataFrame(json.loads(out))
     assert set(differences["measure"]) == set(traffic.MEASURES)

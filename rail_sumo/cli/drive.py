@@ -20,6 +20,7 @@ from rail_sumo.cli.options import (
     Routes,
     Seed,
     Workers,
+    WorldFile,
     network_of,
     overrides_of,
     require_page,
@@ -40,6 +41,7 @@ FCD_SUFFIXES = (".parquet", ".csv", ".xml", ".gz")
 @app.command("eval", rich_help_panel="Drive")
 def evaluate(
     policies: Annotated[list[str], typer.Argument(metavar="POLICY...", help=POLICY)],
+    config_path: WorldFile = None,
     network: NetworkFile = None,
     routes: Routes = None,
     overrides: Overrides = None,
@@ -59,19 +61,19 @@ def evaluate(
 ) -> None:
     """Drive policies through the same held-out traffic and compare them.
 
-    The world is that of the first run directory among the policies, or the default, changed by the options.
+    The world is that of --config, of the first run directory among the policies, or the default; options change it.
     """
     from rail_sumo import replay, roster, run
 
     _require_place(out, {"--fcd": (FCD, fcd), "--replay": (REPLAYS, bool(replays))}, overwrite=overwrite)
     n_workers = workers_of(workers)
     _require_each_once(policies)
-    world = roster.world(policies, overrides_of(network, routes, overrides))
+    world = roster.world(policies, overrides_of(network, routes, overrides), config=config_path)
     who = {policy: roster.find_driver(policy, world) for policy in policies}
 
     def keep(tables: "Tables", whole: Path, **more: str) -> None:
         tables.save(whole)
-        run.describe(whole, world, typed(), seed=seed, **more)
+        run.describe(whole, world, typed(), seed=seed, episodes=episodes, **more)
 
     try:
         place = files.whole_folder(out, overwrite=overwrite) if out and fcd else nullcontext()
@@ -150,6 +152,7 @@ def replay(
         list[str],
         typer.Argument(metavar="POLICY...|FCD", help="One policy, two side by side, or floating-car data of SUMO's."),
     ],
+    config_path: WorldFile = None,
     network: NetworkFile = None,
     routes: Routes = None,
     overrides: Overrides = None,
@@ -170,8 +173,8 @@ def replay(
     if recordings:
         if network is None:
             raise InputError("floating-car data do not hold the road; name their network by --network")
-        if routes or overrides:
-            raise InputError("floating-car data are shown as they are; leave out --routes and --set")
+        if routes or overrides or config_path:
+            raise InputError("floating-car data are shown as they are; leave out --config, --routes and --set")
         replay.write_fcd(
             Path(recordings[0]),
             network_of(network),
@@ -192,7 +195,7 @@ def replay(
                     f"'{one}' is a folder of floating-car data, a file an episode; name one, such as '{part}'"
                 )
         _require_each_once(what)
-        world = roster.world(what, overrides_of(network, routes, overrides))
+        world = roster.world(what, overrides_of(network, routes, overrides), config=config_path)
         who = {policy: roster.find_driver(policy, world) for policy in what}
         replay.write(who, world, out, seed=seed, episode=episode, judges=roster.judges_of(what), overwrite=overwrite)
     print(f"replay in {out}; open it in a browser")

@@ -11,8 +11,13 @@ import typer
 
 from rail_sumo.errors import InputError
 from rail_sumo.highway.network.sumo_xml import is_configuration
+from rail_sumo.records import SECONDS_PER_STEP
 
 ConfigFile = Annotated[Path | None, typer.Argument(metavar="CONFIG", help="A .toml. Without one, all defaults.")]
+WorldFile = Annotated[
+    Path | None,
+    typer.Option("--config", metavar="FILE", help="A .toml of the world.", show_default="the first run's, or none"),
+]
 Overrides = Annotated[
     list[str] | None, typer.Option("--set", metavar="SECTION.KEY=VALUE", help="Change one key; repeatable.")
 ]
@@ -39,10 +44,11 @@ def overrides_of(network: str | None, routes: list[str] | None, overrides: list[
 
         world, left_out = sumocfg.read(Path(network))
         if left_out:
-            names = ", ".join(left_out)
-            print(
-                f"rail-sumo: does not use these options of '{network}', and sets them itself: {names}", file=sys.stderr
-            )
+            options = ", ".join(option if "/" in value else f"{option} {value}" for option, value in left_out.items())
+            steps = f"; steps take {SECONDS_PER_STEP:g} s" if "step-length" in left_out else ""
+            _tell(f"does not use these options of '{network}', and sets them itself: {options}{steps}")
+        if not routes and not {"traffic.routes", "traffic.additional"} & world.keys():
+            _tell(f"'{network}' names no route-files: traffic is made around the host")
     elif network:
         world = {"network.file": network}
     if routes:
@@ -51,6 +57,10 @@ def overrides_of(network: str | None, routes: list[str] | None, overrides: list[
         world["varied.networks"] = []  # it is this one
     # Values in JSON are values in TOML, but for escapes beyond 16 bits.
     return [*(f"{key}={json.dumps(value, ensure_ascii=False)}" for key, value in world.items()), *(overrides or ())]
+
+
+def _tell(what: str) -> None:
+    print(f"rail-sumo: {what}", file=sys.stderr)
 
 
 def network_of(network: str) -> str:

@@ -72,12 +72,12 @@ def progress_bars() -> Iterator[_Bars]:
 
 
 def show(tables: "Tables", out: Path | None) -> None:
-    """Print an evaluation's table, which episodes were cut short, and where the whole of it is."""
+    """Print an evaluation's table, which episodes were cut short, whether all drove alike, and where all of it is."""
     from rail_sumo.tables import report
 
     console = Console(width=None if sys.stdout.isatty() else 100, emoji=False)  # sumo:truck is a driver's name
     console.print(report.table(tables.summary, width=console.width))
-    for line in report.cut_short(tables.episodes):
+    for line in (*report.cut_short(tables.episodes), *report.alike(tables.episodes)):
         console.print(escape(line), soft_wrap=True, highlight=False)
     if out:
         console.print(f"tables in {escape(str(out))}", soft_wrap=True)

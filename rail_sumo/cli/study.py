@@ -99,6 +99,7 @@ def sweep(
     workers: LocalWorkers = "",
 ) -> None:
     """Tell what happens on a road as the share of driven cars grows; what is in the folder is not driven again."""
+    from rail_sumo import roster
     from rail_sumo.studies import sweep as study
 
     n_workers = workers_of(workers)
@@ -109,8 +110,11 @@ def sweep(
         raise InputError("shares are what is varied; leave out --share")
     if not is_share and "." not in what:
         raise InputError(f"varied is share, or a key of the configuration such as traffic.scale; got '{what}'")
+    changes = overrides_of(network, routes, overrides)
+    world = config_file.load(config_path, changes)
+    roster.require_senses([name for name in driver if name != study.ACC], world, changes)
     swept = study.Sweep(
-        config_file.load(config_path, overrides_of(network, routes, overrides)),
+        world,
         tuple(driver),
         study.shares_of(values) if is_share else (0.25 if share is None else share,),
         out,
@@ -134,7 +138,8 @@ def sweep(
         return
     console = Console(width=None if sys.stdout.isatty() else 120, emoji=False)
     console.print(study.shown(swept, tables, width=console.width))
-    print(f"tables, figures and sweep.md in {out}")
+    written = "tables, figures and sweep.md" if (out / study.FIGURES).is_dir() else "tables and sweep.md"
+    print(f"{written} in {out}")
 
 
 def _warm_up_s(text: str) -> float | None:

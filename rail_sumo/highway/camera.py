@@ -131,8 +131,11 @@ class Camera:
         host, state, set_mps = agent.host, agent.state, self._set_mps[-1]
         if not agent.is_driven_by_us:
             return "SUMO"
+        steadily: Holding = "limit" if set_mps >= state.limit_mps else "set speed"
+        if host.speeds_mps[-1] > host.ceiling_mps - SLACK_MPS and set_mps > host.ceiling_mps:
+            steadily = "top speed"
         if len(host.speeds_mps) < 2:
-            return "set speed"
+            return steadily
         adas = self._env.world.adas
         before_mps, now_mps = host.speeds_mps[-2:]
         gap_m = self._gap_m[-1]  # before that step
@@ -147,9 +150,7 @@ class Camera:
         if commanded_mps < meant_mps - SLACK_MPS:
             why = slowed_for(state, adas, meant_mps)
             return waits if why == "stop" else why
-        if now_mps > host.ceiling_mps - SLACK_MPS and set_mps > host.ceiling_mps:
-            return "top speed"
-        return "limit" if set_mps >= state.limit_mps else "set speed"
+        return steadily
 
     def _mark(self) -> None:
         agent, now = self._agent, self._now

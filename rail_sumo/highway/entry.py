@@ -2,7 +2,7 @@
 
 import itertools
 import math
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterable, Iterator, Sequence
 
 import numpy as np
 
@@ -40,16 +40,18 @@ def take_over(simulation: Simulation, config: Config, demand: Demand, rng: np.ra
     road.require_readable(config.network.file, config.network.course)
     kinds = kinds_of(demand)
     from_s, until_s = moments(config, demand, rng)
+    refused: list[str] = []
     simulation.run_until(from_s - SECONDS_PER_STEP)
     for steps in itertools.count(1):
         simulation.run_without_host(SECONDS_PER_STEP)
-        for car, stretch in replaceable(simulation.departed(), config, kinds, waited_s=steps * SECONDS_PER_STEP):
+        waited_s = steps * SECONDS_PER_STEP
+        for car, stretch in replaceable(simulation.departed(), config, kinds, refused, waited_s=waited_s):
             simulation.lay_course(stretch.road, config.adas, sees_m=stretch.sees_m, host=car.name)
             simulation.take_over(car)
             return stretch
         if simulation.now_s > until_s or not simulation.expects_vehicles:
             break
-    raise InputError(nobody(config, demand, simulation.now_s))
+    raise InputError(nobody(config, demand, refused, simulation.now_s))
 
 
 def moments(config: Config, demand: Demand, rng: np.random.Generator) -> tuple[float, float]:
@@ -74,7 +76,7 @@ def kinds_of(demand: Demand) -> frozenset[str]:
 
 
 def replaceable(
-    cars: Iterable[Inserted], config: Config, kinds: frozenset[str], *, waited_s: float
+    cars: Iterable[Inserted], config: Config, kinds: frozenset[str], refused: list[str], *, waited_s: float
 ) -> Iterator[tuple[Inserted, Stretch]]:
     """Yield those of the vehicles that have just departed that the host can replace, and what it would drive.
 
@@ -82,6 +84,7 @@ def replaceable(
         cars: the vehicles.
         config: the world; see `traffic.host` and `traffic.shortest_route_m`.
         kinds: SUMO's classes of those that may be drawn.
+        refused: why others of these classes could not be driven is added here.
         waited_s: for how long there has been none.
 
     Raises:
@@ -94,10 +97,11 @@ def replaceable(
             continue
         try:
             stretch = stretch_of(car, config)
-        except CourseError:  # too short, or not on lanes that the host may use
-            if drawn:
-                continue
-            raise
+        except CourseError as error:  # too short, not on lanes that the host may use, or not at the speeds it may
+            if not drawn:
+                raise
+            refused.append(f"'{car.name}': {error}")
+            continue
         if not drawn or waited_s >= CHOOSY_S or stretch.drivable_m >= traffic.shortest_route_m:
             yield car, stretch
 
@@ -117,11 +121,13 @@ def stretch_of(car: Inserted, config: Config) -> Stretch:
     return Stretch.along(course, config, car.front_m)
 
 
-def nobody(config: Config, demand: Demand, now_s: float) -> str:
-    """Return why there is no host: nothing has departed by now that it could replace."""
+def nobody(config: Config, demand: Demand, refused: Sequence[str], now_s: float) -> str:
+    """Return why there is no host: nothing has departed by now that it could replace; see `replaceable`."""
     first_s, last_s = demand.departs_s
     until = "on" if math.isinf(last_s) else f"to {last_s:.0f} s"
     asked, kind = config.traffic.host, "car" if demand.may_have_cars else "vehicle"
+    if refused:
+        return f"none of the {len(refused)} {kind}s that departed by {now_s:.0f} s can be the host; {refused[-1]}"
     by_now = (
         f"no {kind} that the host could replace departed"
         if asked == "replaces"

@@ -124,7 +124,7 @@ class HighwayParallelEnv(ParallelEnv[str, Floats, int]):
             simulation = self._open(np.random.default_rng(self._seed))
             self._drive_to_next_entry(simulation)
             if not self._live:
-                raise InputError(entry.nobody(self.config, self._demand, simulation.now_s))
+                raise InputError(entry.nobody(self.config, self._demand, self._refused, simulation.now_s))
         except BaseException:
             self.close()  # or no other environment could begin in this process
             raise
@@ -145,6 +145,7 @@ class HighwayParallelEnv(ParallelEnv[str, Floats, int]):
         self._over: dict[str, Told] = {}  # those who have not been told yet that their episode is over
         self._awaited = list(self.possible_agents)
         self._kinds = entry.kinds_of(self._demand)
+        self._refused: list[str] = []
         self._awaited_from_s, self._awaited_until_s = entry.moments(self.config, self._demand, rng)
         simulation.run_until(self._awaited_from_s - SECONDS_PER_STEP)
         return simulation
@@ -215,7 +216,8 @@ class HighwayParallelEnv(ParallelEnv[str, Floats, int]):
 
     def _let_enter(self, simulation: Simulation, steps_left: int) -> None:
         waited_s = simulation.now_s - self._awaited_from_s
-        for car, stretch in entry.replaceable(simulation.departed(), self.config, self._kinds, waited_s=waited_s):
+        departed, config = simulation.departed(), self.config
+        for car, stretch in entry.replaceable(departed, config, self._kinds, self._refused, waited_s=waited_s):
             name = self._awaited.pop(0)
             self._live[name] = self._rides.enter(car, stretch)
             self._live[name].agent.wait(steps_left)

@@ -1,6 +1,7 @@
 """What an expert saw and decided, and the Parquet file it is kept in."""
 
 import json
+import tomllib
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -159,7 +160,8 @@ class Demonstrations:
         metadata = json.dumps({"features": list(features), "about": dict(about)})
         table = pa.table(columns).replace_schema_metadata({METADATA_KEY: metadata})
         with whole_file(path) as partial:
-            pq.write_table(table, partial, compression="zstd")
+            split, others = list(features), [ACTION, EPISODE, *ALLOWED]  # split, floats take two thirds of the room
+            pq.write_table(table, partial, compression="zstd", use_byte_stream_split=split, use_dictionary=others)
 
     @classmethod
     def load(
@@ -197,6 +199,20 @@ class Demonstrations:
                     f"{ALLOWED[0]}... do not allow; {_AGAIN}"
                 )
         return cls(observations, actions, _integers(path, table, EPISODE), allowed)
+
+
+def recorded_on(path: Path) -> tuple[str, ...]:
+    """Return the networks that a file tells its demonstrations were recorded on, as its configuration names them.
+
+    Raises:
+        InputError: it tells so in a way that cannot be read.
+    """
+    said = (pq.read_schema(path).metadata or {}).get(METADATA_KEY)
+    try:
+        tree = tomllib.loads(json.loads(said or "{}").get("about", {}).get("config", ""))
+        return tuple(tree.get("varied", {}).get("networks") or filter(None, [tree.get("network", {}).get("file")]))
+    except (ValueError, AttributeError, TypeError) as error:
+        raise InputError(f"{_named(path)} tell of their recording what cannot be read ({error}); {_AGAIN}") from None
 
 
 def _named(path: Path) -> str:

@@ -116,7 +116,9 @@ def _origin(folder: Path) -> Iterator[str]:
     try:
         about = json.loads(file.read_text(encoding="utf-8"))
         told = {
-            key: str(about[key]) for key in ("command", "seed", "interrupted", "rail-sumo", "libsumo") if key in about
+            key: "; ".join(about[key]) if key == "notes" else str(about[key])
+            for key in ("command", "seed", "interrupted", "notes", "rail-sumo", "libsumo")
+            if key in about
         }
     except (ValueError, TypeError) as error:
         raise InputError(f"'{file}' is damaged: {error}") from None

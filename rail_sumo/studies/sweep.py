@@ -47,7 +47,9 @@ from rail_sumo.tables.shares import (
 
 SHARE = "share"
 """What is swept over, unless it is a key of the configuration."""
-ACC = "acc"
+ACC = roster.INSTEAD
+FIGURES = "figures"
+"""The folder of its pictures."""
 """The driver that is SUMO's own adaptive cruise control."""
 SECTIONS, PERIOD = ("network", "traffic", "adas", "lidar", "observation"), "episode.decision_period_s"
 """What may be swept over beside the share: numbers of these sections, and this one."""
@@ -97,7 +99,10 @@ class Sweep:
         if other:
             raise InputError(f"'{self.out}' holds a run or an evaluation ({other}); choose another --out for the sweep")
         planned = list(self._work())  # every driver is found, or not, before the first run
-        warm_up_s = self._warm_up_s() if self.warm_up_s is None else self.warm_up_s
+        warm_up_s, notes = self._found_warm_up() if self.warm_up_s is None else (self.warm_up_s, [])
+        notes += self._early_ends(warm_up_s)
+        for note in notes:
+            self.observer.note(note)
         work = [replace(one, warm_up_s=warm_up_s) for one in planned]
         for one in work:
             one.require_same_study()
@@ -110,9 +115,9 @@ class Sweep:
         table = report.typed(pd.concat(driven, ignore_index=True), TRAFFIC_COLUMNS)
         if not table.loc[table["vehicles"] == traffic.DRIVEN, "n_vehicles"].any():
             raise InputError("no car of the share was on the road in the period; change traffic.begin_s or --duration")
-        tables = Tables(table, summarised(table), compared(table), warm_up_s)
+        tables = Tables(table, summarised(table), compared(table), warm_up_s, tuple(notes))
         report.write(self.out, traffic=table, summary=tables.summary, differences=tables.differences, overwrite=True)
-        run.describe(self.out, self.config, self.command)
+        run.describe(self.out, self.config, self.command, **({"notes": notes} if notes else {}))
         with whole_file(self.out / "sweep.md") as partial:
             partial.write_text(markdown(self, tables), encoding="utf-8")
         self._draw(tables.summary)
@@ -136,7 +141,7 @@ class Sweep:
                 curves[label] = told[[across, "mean", "low", "high"]].astype("float64").sort_values(across).to_numpy()
             figure = plot.with_bands(curves, "share of the cars" if self.key == SHARE else self.key, HEADINGS[measure])
             for suffix in (".png", ".svg"):
-                plot.save(figure, self.out / "figures" / f"{measure}{suffix}", overwrite=True)
+                plot.save(figure, self.out / FIGURES / f"{measure}{suffix}", overwrite=True)
 
     def _check(self) -> None:
         if self.seeds < 1:
@@ -196,9 +201,12 @@ class Sweep:
             return self.config
         return config_file.changed(self.config, [f"{self.key}={setting}"])
 
-    def _warm_up_s(self) -> float:
-        """Return how long the number of vehicles on the road takes to settle, as they are, at the slowest setting."""
-        found_s = 0
+    def _found_warm_up(self) -> tuple[float, list[str]]:
+        """Return how long the number of vehicles on the road takes to settle, and where it does not.
+
+        As they are, at the slowest setting.
+        """
+        found_s, notes = 0.0, []
         self.observer.start("warm-up", len(self.settings))
         for setting in self.settings:
             world = self._world(setting)
@@ -208,19 +216,27 @@ class Sweep:
             counts = pilot.drive(min(begin_s + watched_s, max(last_s, begin_s + 1.0)))
             self.observer.advance({})
             seconds, settles = warm_up.found_s(counts)
-            found_s = max(found_s, seconds)
+            found_s = max(found_s, float(seconds))
             if not settles:
-                self.observer.note(
+                notes.append(
                     f"the number of vehicles on the road does not settle within {len(counts)} s"
                     f"{f' at {self.key} = {setting}' if setting else ''}: more come than leave; {seconds:.0f} s are "
                     f"left out, and what follows depends on the period"
                 )
-            if begin_s + found_s + self.duration_s > last_s:
-                self.observer.note(
-                    f"the last vehicle departs at {last_s:.0f} s, before the period ends at "
-                    f"{begin_s + found_s + self.duration_s:.0f} s: choose a shorter --duration, or lengthen the demand"
+        return found_s, notes
+
+    def _early_ends(self, warm_up_s: float) -> Iterator[str]:
+        """Tell where a demand ends before the period that counts."""
+        for setting in self.settings:
+            world = self._world(setting)
+            last_s = demand_of(world).departs_s[1]
+            ends_s = world.traffic.begin_s + warm_up_s + self.duration_s
+            if ends_s > last_s:
+                yield (
+                    f"the last vehicle departs at {last_s:.0f} s, before the period ends at {ends_s:.0f} s"
+                    f"{f' at {self.key} = {setting}' if setting else ''}: choose a shorter --duration, or lengthen the "
+                    f"demand"
                 )
-        return float(found_s)
 
 
 class Tables(NamedTuple):
@@ -234,6 +250,8 @@ class Tables(NamedTuple):
     """From share 0: `DIFFERENCE_COLUMNS`."""
     warm_up_s: float
     """How long the traffic drove before it counted."""
+    notes: tuple[str, ...] = ()
+    """What makes the figures depend on the period."""
 
 
 @dataclass(frozen=True)
@@ -357,6 +375,7 @@ def markdown(sweep: Sweep, tables: Tables) -> str:
         _caption(sweep, tables, "in brackets"),
         "",
         *((f"    {sweep.command}", "") if sweep.command else ()),
+        *(line for note in tables.notes for line in (f"Note: {note}.", "")),
         f"| {' | '.join(headings)} |",
         "| --- |" + " ---: |" * (len(headings) - 1),
         *(f"| {' | '.join(row)} |" for row in rows),

@@ -143,6 +143,8 @@ _TOLD = {
     "over-\ntaken": ("overtaken", 1),
     "hard\nbrakings": ("hard_brakings", 2),
 }
+ALIKE = 0.01
+"""Speeds that differ by less than this share are told to be the same."""
 WIDE = 100
 """How many columns the whole table takes, if its figures are not too long."""
 NAME_WIDTH = 14
@@ -183,8 +185,11 @@ def _table(summary: pd.DataFrame, told: dict[str, tuple[str, int]], *, has_inter
     by_metric = summary.set_index(["policy", "metric"])
     n = by_metric["episodes"].max()
     compared = reference in policies and len(policies) > 1
-    episodes = f"means over {n} episodes{' ± 95 % interval' * has_intervals}" if n > 1 else "one episode: no interval"
-    if 1 < n < FEW:
+    km = f"{summary.loc[summary['metric'] == 'distance_m', 'mean'].mean() / 1000:.1f} km"
+    episodes = f"means over {n} episodes of {km}{' ± 95 % interval' * has_intervals}"
+    if n == 1:
+        episodes = f"one episode of {km}: no interval"
+    elif n < FEW:
         episodes += f" (fewer than {FEW} tell little)"
     below = f"; below, ratios to {escape(reference)}" if compared else ""
     shown = Table(box=SIMPLE_HEAD, caption=episodes + below)
@@ -233,6 +238,21 @@ def cut_short(episodes: pd.DataFrame) -> list[str]:
         if told:
             lines.append(f"{policy}: {'; '.join(told)}")
     return lines
+
+
+def alike(episodes: pd.DataFrame) -> list[str]:
+    """Return a line that says so where all policies drove every episode at the same speed, to within `ALIKE`.
+
+    Args:
+        episodes: the `episodes` table.
+    """
+    speeds = episodes.pivot(index="episode", columns="policy", values="speed_kmh").astype("float64").dropna()
+    if len(speeds.columns) < 2 or speeds.empty or (speeds.max(axis=1) > speeds.min(axis=1) * (1 + ALIKE)).any():
+        return []
+    return [
+        f"all drive every episode at the same speed, to within {100 * ALIKE:g} %: the road or the host's own vehicle "
+        f"may leave no choice, see rail-sumo network check"
+    ]
 
 
 def _with_interval(value: float, low: float, high: float, decimals: int) -> str:

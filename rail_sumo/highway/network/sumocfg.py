@@ -38,10 +38,10 @@ OUR_OPTIONS = re.compile(
 """Options of whatever topic that are ours, or that a configuration has keys of its own for."""
 
 
-def read(path: Path) -> tuple[dict[str, Any], list[str]]:
-    """Return the keys of our configuration that a file of SUMO's sets, with their values, and the options left out.
+def read(path: Path) -> tuple[dict[str, Any], dict[str, str]]:
+    """Return the keys of our configuration that a file of SUMO's sets, and the options left out, with their values.
 
-    Of these only such as could matter to a result are told.
+    Of the latter only such as could matter to a result.
 
     File names in it are relative to its own folder, with `%20` for a space and `${NAME}` for an environment variable,
     as they are to SUMO.
@@ -67,7 +67,7 @@ def read(path: Path) -> tuple[dict[str, Any], list[str]]:
     passed_on = {option: value for option, value in options.items() if option not in left_out}
     if passed_on:
         keys["traffic.options"] = [f"{option}={value}" for option, value in passed_on.items()]
-    return keys, [option for option in left_out if topic_of[option] not in UNTOLD_TOPICS]
+    return keys, {option: options[option] for option in left_out if topic_of[option] not in UNTOLD_TOPICS}
 
 
 def _early_entry(begin_s: float, end: str) -> dict[str, float]:

@@ -120,7 +120,7 @@ export class Card {
     const gap = driven.gapM[whole];
     const isLast = frame === this.film.nFrames - 1;
     return [
-      [pose ? `The host ${holdingSentence(driven.holding[whole])}.` : "The host is not on the road."],
+      [pose ? `The host ${holdingSentence(driven.holding[whole], pose.speed, { setMps: driven.setMps[whole], limitMps: driven.limitMps[whole] })}.` : "The host is not on the road."],
       ["speed", pose ? kmh(pose.speed) : "–"],
       ["set speed", Number.isFinite(driven.setMps[whole]) ? kmh(driven.setMps[whole]) : "none"],
       ["limit", kmh(driven.limitMps[whole])],

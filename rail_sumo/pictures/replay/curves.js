@@ -93,6 +93,16 @@ export function rangeOf(panel, lowest, highest) {
   return [from, panel.to ?? Math.max(highest + 0.15 * (highest - from), from + 1)];
 }
 
+/** Where an axis has numbers: round ones, as many as there is room for. */
+export function ticksOf(low, high, most) {
+  for (let unit = 0.1; ; unit *= 10) {
+    for (const step of [1, 2, 2.5, 5].map((one) => one * unit)) {
+      const [first, last] = [Math.ceil(low / step), Math.floor(high / step)];
+      if (last - first < Math.max(most, 1)) return Array.from({ length: last - first + 1 }, (_, k) => (first + k) * step);
+    }
+  }
+}
+
 export class Curves {
   /** `page` has films, base, duration, chosen() and seek(elapsed). */
   constructor(element, page) {
@@ -133,6 +143,7 @@ export class Curves {
     const [soft, hair] = [colourOf("--soft"), colourOf("--hair")];
     const axis = { stroke: soft, font: "11px system-ui, sans-serif", grid: { stroke: hair, width: 1 }, ticks: { show: false } };
     const isLow = films.length > 1;
+    const apart = isLow ? LOW_APART_PX : APART_PX;
     const height = (!isLow ? PLOT_PX : panel.from === null ? LOW_SPEED_PX : LOW_PLOT_PX) + (isLast ? AXIS_PX : 0);
     const plot = new uPlot(
       {
@@ -147,7 +158,7 @@ export class Curves {
         },
         axes: [
           { ...axis, show: isLast, size: AXIS_PX, gap: 2, grid: { show: false }, space: 64, incrs: TICKS_S, values: (_, splits) => splits.map((split) => (long && split > base + 0.96 * duration ? "" : tick(split, { long }))) },
-          { ...axis, size: left, gap: 6, space: isLow ? LOW_APART_PX : APART_PX, splits: panel.to ? () => [0, 0.5, 1] : undefined },
+          { ...axis, size: left, gap: 6, space: apart, splits: (plot, _, low, high) => (panel.to ? [0, 0.5, 1] : ticksOf(low, high, Math.floor(plot.bbox.height / devicePixelRatio / apart))) },
         ],
         series: [
           {},
