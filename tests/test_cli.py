@@ -96,6 +96,8 @@ BAD = {
     "eval keep --network closed.net.xml": "network 'closed.net.xml' has no edge that is open to cars; rail",
     "eval keep --routes none.rou.xml": "routes file 'none.rou.xml' does not exist (current folder: ",
     "network check closed.net.xml": "network 'closed.net.xml' has no edge that is open to cars; rail",
+    "eval acc": "'acc' drives a share of a demand; compare it in: rail-sumo sweep share",
+    "eval some.toml": "'some.toml' is a configuration, not a driver; name it by --config",
     "expert record --out file": "output file 'file' exists; choose another, or replace it with --overwrite",
     "expert record --driver rul --out new": "policy 'rul' is neither a run directory nor a driver; did you mean",
     "expert record --episodes 0 --driver keep --out new": "episodes must be at least 1; got 0",
@@ -140,6 +142,25 @@ def test_our_own_mistakes_keep_their_traceback(rail_sumo, monkeypatch):
     monkeypatch.setattr(run, "evaluate", lambda *arguments, **named: 1 / 0)
     with pytest.raises(ZeroDivisionError):
         rail_sumo("eval", "keep", *SHORT)
+
+
+def test_eval_and_replay_drive_in_the_world_of_a_toml_changed_by_options(rail_sumo, tmp_path):
+    (tmp_path / "mine.toml").write_text('[network]\nfile = "highway3"\n[episode]\nduration_s = 9.0\n')
+    few = ("--config", "mine.toml", "--set", "episode.duration_s=5.0")
+    assert rail_sumo("eval", "keep", "--episodes", "1", "--out", "out", *few)[0] == 0
+    episodes = pd.read_csv(tmp_path / "out" / "episodes.csv")
+    assert (episodes.loc[0, "network"], episodes.loc[0, "duration_s"]) == ("highway3", 5.0)
+    assert rail_sumo("replay", "keep", "--out", "page.html", *few)[0] == 0
+    assert '"highway3"' in (tmp_path / "page.html").read_text()
+
+
+def test_a_sumocfg_without_a_demand_is_told_to_drive_in_made_traffic(rail_sumo, tmp_path):
+    (tmp_path / "my.net.xml").write_bytes(assets.network("highway3").read_bytes())
+    (tmp_path / "my.sumocfg").write_text('<configuration><net-file value="my.net.xml"/></configuration>')
+    note = "rail-sumo: 'my.sumocfg' names no route-files: traffic is made around the host\n"
+    assert rail_sumo("network", "check", "my.sumocfg")[2] == note
+    demand = str(assets.routes("highway3"))
+    assert rail_sumo("network", "check", "my.sumocfg", "--routes", demand)[2] == ""
 
 
 def test_eval_prints_a_row_per_policy_and_writes_the_tables(rail_sumo, tmp_path):

@@ -189,6 +189,18 @@ def test_a_named_vehicle_whose_route_cannot_be_driven_or_that_never_comes_is_tol
         make(on_highway3(demand(tmp_path, endless) | {"host": "f.99"})).reset(seed=0)
 
 
+def test_where_no_car_that_departs_can_be_driven_it_is_told_why(make, tmp_path):
+    slow = on_highway3(
+        demand(tmp_path), adas={"min_speed_kmh": "limit/2", "start_speed_kmh": 35.0, "max_speed_kmh": 35.0}
+    )
+    said = (
+        r"^none of the \d+ cars that departed by \d+ s can be the host; 'car\d+': network 'highway3': "
+        r"the lowest set speed, 40 km/h \(adas\.min_speed_kmh = limit/2\), is not below the highest, 35 km/h"
+    )
+    with pytest.raises(InputError, match=said):
+        make(slow).reset(seed=0)
+
+
 def test_a_vehicle_that_is_not_in_the_demand_is_told_before_anybody_drives(make, tmp_path):
     said = r"^the demand has no vehicle 'car7', which traffic\.host names; did you mean 'car37'\? \(available: car0"
     with pytest.raises(InputError, match=said):

@@ -115,4 +115,4 @@ def test_what_is_measured_is_written_whole(what):
 def test_where_nothing_differs_the_axis_shows_no_hundredths_of_it(level, interval):
     curve = np.array([[share, level, interval, interval] for share in (0.0, 0.5, 1.0)])
     figure = plot.with_bands({"rule": curve, "acc": curve}, "share", "contacts")
-    assert figure.axes[0].get_ylim() == (level - 1.0, level + 1.0)
+    assert figure.axes[0].get_ylim() == (max(level - 1.0, 0.0), level + 1.0)

@@ -87,6 +87,14 @@ def test_an_episode_that_nobody_drove_is_not_telling():
     assert replay.most_telling(table, 5) == [("a", 1)]
 
 
+def test_pages_have_names_that_a_browser_opens_and_none_replaces_another(monkeypatch, tmp_path):
+    monkeypatch.setattr(replay, "write", lambda policies, world, page, **named: page.touch())
+    who = dict.fromkeys(("sumo:truck", "sumo-truck", "../runs/a b"), "keep")
+    table = pd.concat([figures(speed_kmh=[60.0]).assign(policy=name) for name in who])
+    pages = replay.write_most_telling(table, who, {}, config_file.load(None), tmp_path, seed=0, number=3)
+    assert {page.name for page in pages} == {"sumo-truck-0.html", "sumo-truck-1-0.html", "runs-a-b-0.html"}
+
+
 def test_eval_writes_them_beside_its_tables(rail_sumo, tmp_path):
     short = ["--set", "episode.duration_s=5.0"]
     code, _, err = rail_sumo("eval", "keep", "rule", "--episodes", "2", "--out", "out", "--replay", "3", *short)

@@ -287,6 +287,14 @@ def test_a_narrow_terminal_is_shown_less_and_every_name():
     assert lines[line_of("runs/first", lines)].split()[-2:] == ["1.0", "4"]  # refused, contacts
 
 
+def test_that_all_drove_alike_is_told():
+    alike = rows("rule", [100.0, 60.0]) + rows("mine", [100.9, 59.9])
+    (line,) = report.alike(report.episodes(alike))
+    assert line.startswith("all drive every episode at the same speed, to within 1 %: ")
+    apart = rows("rule", [100.0, 60.0]) + rows("mine", [101.5, 60.0])
+    assert report.alike(report.episodes(apart)) == report.alike(report.episodes(rows("rule", [100.0]))) == []
+
+
 def test_the_terminal_tells_which_policy_is_the_reference():
     # One episode tells no interval, which is told.
     three = report.episodes([*rows("rule", [60.0]), *rows("mine", [66.0]), *rows("expert", [72.0])])

@@ -7,6 +7,7 @@ import os
 import re
 import shutil
 import signal
+import sys
 from functools import partial
 from pathlib import Path
 
@@ -739,3 +740,34 @@ def test_demonstrations_that_do_not_tell_what_was_open_are_told_to_who_clones_th
         training.learn(world, tmp_path / f"{file}-{masked}", seed=1, observer=notes)
     assert [len(notes.told) for notes in said.values()] == [0, 1, 0]
     assert said["bare", True].told[0].endswith("too seldom; tell there what was open, or set policy.masked=false")
+
+
+def test_demonstrations_of_another_road_are_told_to_who_learns_from_them(small, driven, tmp_path):
+    file = tmp_path / "told.parquet"
+    features = run.feature_names(small.lidar, small.observation)
+    driven_here = Demonstrations.load(tmp_path / "demonstrations.parquet", features=features)
+    driven_here.save(file, features=features, about={"config": config_file.dumps(small)})
+    world = small.changed(train={"demonstrations": str(file), "iterations": 0})
+    here, elsewhere = Notes(), Notes()
+    training.learn(world, tmp_path / "here", seed=1, observer=here)
+    training.learn(world.changed(network={"file": "ring5"}), tmp_path / "elsewhere", seed=1, observer=elsewhere)
+    own = assets.network_name(small.network.file)
+    (said,) = set(elsewhere.told) - set(here.told)
+    assert said.startswith(f"the demonstrations were recorded on {own}, and this trains on ring5: ")
+
+
+def test_where_ray_is_missing_no_run_is_begun(small, driven, tmp_path, monkeypatch):
+    monkeypatch.setitem(sys.modules, "ray.util.multiprocessing", None)
+    world = small.changed(train={"demonstrations": str(tmp_path / "demonstrations.parquet"), "iterations": 0})
+    with pytest.raises(InputError, match="needs Ray"):
+        training.learn(world, tmp_path / "run", seed=1, workers="ray")
+    assert not (tmp_path / "run").exists()
+
+
+def test_in_python_drivers_go_by_their_names_too(small):
+    tables = run.evaluate({"mine": "expert", "other": "keep"}, small, episodes=1, seed=0)
+    assert list(tables.episodes["policy"]) == ["mine", "other"]
+    with pytest.raises(InputError, match=r"^policy 'rial' is neither .* did you mean 'rail'"):
+        run.evaluate({"mine": "rial"}, small, episodes=1, seed=0)
+    with pytest.raises(InputError, match=r"^a driver is a name, a run's policy, or an object with senses and decide"):
+        run.evaluate({"mine": 7}, small, episodes=1, seed=0)

@@ -238,6 +238,17 @@ def test_a_key_may_be_swept_over(world, tmp_path, figures):
     assert (tmp_path / "out" / "figures" / "speed_kmh.svg").exists()
 
 
+def test_what_makes_figures_doubtful_is_kept_beside_them(world, tmp_path, figures):
+    hears = Hears()
+    swept = small(world, tmp_path / "out", drivers=("acc",), shares=(1.0,), seeds=1, duration_s=190.0, observer=hears)
+    note = "the last vehicle departs at 200 s, before the period ends at "
+    tables = swept.drive()
+    assert [told.startswith(note) for told in tables.notes] == [True]
+    assert tables.notes[0] in hears.said
+    assert f"Note: {tables.notes[0]}." in (tmp_path / "out" / "sweep.md").read_text()
+    assert json.loads((tmp_path / "out" / "evaluation.json").read_text())["notes"] == list(tables.notes)
+
+
 def test_without_matplotlib_there_are_tables_and_a_word(monkeypatch, world, tmp_path, figures):
     monkeypatch.setattr(sweep, "find_spec", lambda name: None)
     monkeypatch.setattr(plot, "with_bands", None)
@@ -352,6 +363,10 @@ def test_on_the_command_line(monkeypatch, capsys, demand, tmp_path):
             "--warm-up takes seconds, or auto; got 'long'",
         ),
         (["sweep", "share", "0.5", "--driver", "acc"], "a share is of the cars of a demand, and there is none"),
+        (
+            ["sweep", "share", "0.5", "--driver", "acc", "--driver", "rail", "--set", "lidar.n_rays=12"],
+            "policy 'rail' was trained with lidar.n_rays = 24, not 12",
+        ),
         (["sweep", "share", "0.5", "--driver", "acc", "--workers", "ray"], "takes a number of --workers, not ray"),
     ):
         code, out, error = call(*words)

@@ -58,6 +58,11 @@ def train(
 ) -> Iterator[RailState]:
     """Run RAIL, yielding a `RailState` after every iteration, without end.
 
+    In short, the algorithm: draw directions (line 2); drive theta plus and minus each (3 to 6); let the judge learn
+    from these rollouts and the expert's (7 to 9); move theta along the directions by the returns that the judge gives
+    (10 to 13). `learners._rail` puts it to work: theta is the clone that `training` has fitted, and `evaluate` is
+    `learners.Practice.pairs`.
+
     It differs from the printed algorithm in line 14, which moves the whitening with the states met so far: the cloned
     weights are valid only with the whitening they were trained under, so that stays as it is. In
     print, the first line's loop ends with an episode; here it is over iterations, and the caller ends it. In print,
@@ -84,7 +89,7 @@ def train(
         rng = np.random.default_rng(np.random.SeedSequence(seed, spawn_key=(*b"rail", iteration)))
         deltas = ars.ask(rng)  # line 2
         plus, minus = evaluate(ars.theta, ars.noise_std * deltas, iteration)  # lines 3-6: same traffic for both
-        judge_fit = judge.fit(expert=demonstrations, learner=plus + minus, rng=rng)  # lines 7-9, least squares
+        judge_fit = judge.fit(expert=demonstrations, learner=plus + minus, rng=rng)  # lines 7-9, by `judge.loss`
         returns = judge.returns(plus), judge.returns(minus)  # one frozen judge for all
         step_norm = ars.tell(deltas, *returns)  # lines 10-13
         yield RailState(iteration, ars.theta.copy(), step_norm, judge_fit, float(np.mean(returns)), plus, minus)

@@ -123,7 +123,10 @@ def with_bands(curves: Mapping[str, Floats], across: str, what: str, *, columns:
         colour, style, marker = (looks[at % len(looks)] for looks in (_COLOURS, _STYLES, _MARKERS))
         axes.plot(where, mean, style, marker=marker, color=colour, label=name)
         axes.fill_between(where, low, high, color=colour, alpha=0.15, linewidth=0.0)
-    leave_room(axes.set_ylim, np.concatenate([curve[:, 1:].ravel() for curve in curves.values()]))
+    drawn = np.concatenate([curve[:, 1:] for curve in curves.values()])
+    leave_room(axes.set_ylim, drawn)
+    if not (drawn[:, 0] < 0.0).any():  # of what cannot be negative the interval of few may be
+        axes.set_ylim(bottom=max(axes.get_ylim()[0], 0.0))
     axes.set_xlabel(across)
     axes.set_ylabel(textwrap.fill(what, 40))  # or it is cut off at the picture's edge
     axes.grid(alpha=0.3)

@@ -21,7 +21,7 @@ from rail_sumo.pictures import plot, plot_episodes
 from rail_sumo.records import MetaAction
 from rail_sumo.run_directory import CLONE, CONFIG, PROGRESS
 from rail_sumo.tables.report import CONTACTS, DECISIONS, EPISODES, ORIGIN, SUMMARY, WORLD
-from rail_sumo.tables.shares import HEADINGS
+from rail_sumo.tables.shares import HEADINGS, TOLD
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -51,8 +51,8 @@ def write(folders: Sequence[Path], out: Path, *, overwrite: bool = False) -> Non
             cannot be written.
     """
     plot.require_matplotlib()
-    check_file(out, overwrite=overwrite)
     titles = _titles(folders)
+    check_file(out, overwrite=overwrite)
     sections = [(title, "\n".join(_about(folder))) for title, folder in zip(titles, folders, strict=True)]
     settings = _settings(folders)
     if settings:
@@ -236,9 +236,9 @@ def _of_markdown(text: str) -> tuple[pd.DataFrame, str]:
 
 
 def _figures(folder: Path, pattern: str) -> str:
-    """Return a folder's figures as a grid of small ones, known measures first and in their order."""
+    """Return a folder's figures as a grid of small ones: the measures of the table above, others, what is none."""
     files = {file.stem.removeprefix("figure_"): file for file in sorted(folder.glob(pattern))}
-    names = [name for name in HEADINGS if name in files] + [name for name in files if name not in HEADINGS]
+    names = [name for name in dict.fromkeys((*TOLD, *HEADINGS, *files)) if name in files]
     images = (_image(files[name].read_bytes(), HEADINGS.get(name, name.replace("_", " "))) for name in names)
     return f'<div class="figures">{"".join(images)}</div>'
 

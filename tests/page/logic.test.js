@@ -7,11 +7,11 @@ import { test } from "node:test";
 import { bucketsOf, bytesOf, forEachPresent, inflate, opened, spanAt, summed, summedTwice, varints } from "../../rail_sumo/pictures/replay/decode.js";
 import { beside } from "../../rail_sumo/pictures/replay/road.js";
 import { Camera } from "../../rail_sumo/pictures/replay/camera.js";
-import { clock, ending, outcome, signed, tick } from "../../rail_sumo/pictures/replay/words.js";
+import { clock, ending, holdingSentence, outcome, signed, tick } from "../../rail_sumo/pictures/replay/words.js";
 import { clockBase, countUntil, decisionAt, frameAt, hasEnded, letterAt, linkedMoment, momentsOf, neighbour, overtakesOf } from "../../rail_sumo/pictures/replay/timeline.js";
 import { commandOf, keysOf } from "../../rail_sumo/pictures/replay/controls.js";
 import { drivenDistance, poseInSpan, poseOf, turned } from "../../rail_sumo/pictures/replay/motion.js";
-import { rangeOf } from "../../rail_sumo/pictures/replay/curves.js";
+import { rangeOf, ticksOf } from "../../rail_sumo/pictures/replay/curves.js";
 import { shadeOf, signalMeaning } from "../../rail_sumo/pictures/replay/colours.js";
 
 const QUANTA = { position_m: 0.01, heading_rad: (2 * Math.PI) / 36000, speed_mps: 0.01 };
@@ -184,6 +184,23 @@ test("axes start at 0, or a little below the lowest value", () => {
   assert.equal(rangeOf({ from: null }, 93, 110)[0], 80);
   assert.equal(rangeOf({ from: null }, 3, 9)[0], 0);
   assert.ok(rangeOf({ from: 0 }, null, null)[1] >= 1); // nothing to show
+});
+
+test("axes have round numbers, as many as there is room for", () => {
+  assert.deepEqual(ticksOf(60, 139, 3), [75, 100, 125]);
+  assert.deepEqual(ticksOf(0, 1, 3), [0, 0.5, 1]);
+  assert.deepEqual(ticksOf(0, 3000, 2), [0, 2000]);
+  assert.deepEqual(ticksOf(0.5, 0.6, 0), [0.5]);
+});
+
+test("who is slower than the set speed does not drive at it", () => {
+  const goals = { setMps: 25, limitMps: 20 };
+  assert.equal(holdingSentence("set speed", 25.1, goals), "drives at the set speed");
+  assert.equal(holdingSentence("set speed", 20, goals), "speeds up to the set speed");
+  assert.equal(holdingSentence("set speed", 26, goals), "slows down to the set speed");
+  assert.equal(holdingSentence("limit", 18, goals), "speeds up to the speed limit");
+  assert.equal(holdingSentence("limit", 20, goals), "keeps to the speed limit");
+  assert.equal(holdingSentence("vehicle ahead", 3, goals), "follows the vehicle ahead");
 });
 
 test("speeds' shades stay within the scale", () => {

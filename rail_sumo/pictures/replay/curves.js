@@ -158,7 +158,7 @@ export class Curves {
         },
         axes: [
           { ...axis, show: isLast, size: AXIS_PX, gap: 2, grid: { show: false }, space: 64, incrs: TICKS_S, values: (_, splits) => splits.map((split) => (long && split > base + 0.96 * duration ? "" : tick(split, { long }))) },
-          { ...axis, size: left, gap: 6, space: apart, splits: (plot, _, low, high) => (panel.to ? [0, 0.5, 1] : ticksOf(low, high, Math.floor(plot.bbox.height / devicePixelRatio / apart))) },
+          { ...axis, size: left, gap: 6, space: apart, splits: ({ bbox }, _, low, high) => (panel.to ? [0, 0.5, 1] : ticksOf(low, high, Math.floor(bbox.height / devicePixelRatio / apart))) },
         ],
         series: [
           {},
