@@ -10,6 +10,7 @@ const ROWS = ["left", "accelerate", "keep", "decelerate", "right"]; // from abov
 const ROW_PX = 11; // labels of 9 px, one below the other
 const [PLOT_PX, LOW_PLOT_PX, LOW_SPEED_PX, AXIS_PX] = [68, 46, 56, 22]; // low where two films share the page: all fit below them
 const [APART_PX, LOW_APART_PX] = [22, 15]; // an axis's numbers, at least
+const LEGEND = 0.4; // of what is drawn, so much above it for the legend
 const TICKS_S = [0.1, 0.2, 0.5, 1, 2, 5, 10, 20, 30, 60, 120, 300, 600, 1200, 1800, 3600, 7200, 14400, 43200, 86400];
 const STEPPED = "stepped";
 
@@ -90,7 +91,7 @@ function onOneClock(films, base, panel) {
 /** What a panel's axis spans: from 0, or where `from` is null from a little below the lowest value. */
 export function rangeOf(panel, lowest, highest) {
   const from = panel.from ?? Math.max(Math.floor(lowest / 10) * 10 - 10, 0);
-  return [from, panel.to ?? Math.max(highest + 0.15 * (highest - from), from + 1)];
+  return [from, panel.to ?? Math.max(highest + LEGEND * (highest - from), from + 1)];
 }
 
 /** Where an axis has numbers: round ones, as many as there is room for. */
