@@ -14,6 +14,8 @@ from rail_sumo.tables import report
 
 INSTEAD = "acc"
 """What drives a share of a demand, and no single host; see `studies.sweep`."""
+AS_A_TYPE = f"{drivers.SUMO_AS}TYPE"
+"""How SUMO's own driver as one of the demand's types is listed; see `drivers.hands_off`."""
 MODES = (ARGMAX, SAMPLED)
 """How a learned policy may act, as `runs/first:sampled`; without a colon as it was trained."""
 
@@ -46,7 +48,7 @@ def require_senses(policies: Iterable[str], world: Config, overrides: Iterable[s
             drivers.require_same_senses(find_driver(policy, world), world, f"policy '{policy}'")
 
 
-def find_driver(policy: str, world: Config, *, also: Sequence[str] = ()) -> Who:
+def find_driver(policy: str, world: Config, *, also: Sequence[str] = (AS_A_TYPE,)) -> Who:
     """Return who drives under the name: a driver of ours, an expert's folder, or what a run directory learned.
 
     What was learned acts as it was trained, or as the name says behind a colon: `rail:sampled`, `runs/first:argmax`.
@@ -135,7 +137,7 @@ def load_driver(policy: str, *, seed: int = 0) -> drivers.Network:
     return driver
 
 
-def _require_folder(policy: Path, also: Sequence[str] = ()) -> None:
+def _require_folder(policy: Path, also: Sequence[str] = (AS_A_TYPE,)) -> None:
     if str(policy) == INSTEAD and INSTEAD not in also:
         raise InputError(f"'{policy}' drives a share of a demand; compare it in: rail-sumo sweep share")
     if policy.suffix == ".toml":

@@ -46,7 +46,7 @@ def lay_out(folder):
     (folder / "cut" / "clone.safetensors").write_bytes(b"\x08")
 
 
-DRIVERS = "(available: expert, keep, rail, random, road-expert, road-rail, rule, sumo)"
+DRIVERS = "(available: expert, keep, rail, random, road-expert, road-rail, rule, sumo, sumo:TYPE)"
 
 BAD = {
     "train none.toml": "cannot read configuration 'none.toml': No such file or directory (current folder: ",
