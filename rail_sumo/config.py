@@ -218,8 +218,9 @@ class Adas(_Section):
     min_speed_kmh: Positive | Literal["limit/2"] = "limit/2"
     """The lowest set speed: half the limit, or a number. Traffic, limits and right of way may make the host slower."""
     start_speed_kmh: Positive | Literal["limit*3/4"] = "limit*3/4"
-    """The speed at which the host enters, and its first set speed: three quarters of the limit, or a number. Into your
-    own demand it enters as fast as the vehicles of its lane drive there, unless this is a number."""
+    """The speed at which the host enters, and its first set speed: three quarters of the limit, or a number. Added to
+    your demand it enters as fast as the vehicles of its lane drive there, unless this is a number; in the place of a
+    car it keeps that car's speed."""
     speed_step_kmh: Positive = 5.0
     """What accelerate and decelerate add to the present speed, or take from it, to get the set speed."""
     acceleration_mps2: Positive = 2.0

@@ -104,6 +104,11 @@ def _find(policy: str, world: Config, also: Sequence[str]) -> Who:
     return RunDirectory(folder).policy()
 
 
+def unfinished(policies: Iterable[str]) -> list[str]:
+    """Return a line for each run among the policies that has done fewer iterations than it is to have."""
+    return [told for run in judges_of(policies).values() if (told := run.unfinished)]
+
+
 def judges_of(policies: Iterable[str]) -> dict[str, RunDirectory]:
     """Return the runs of those policies that were learned, which may have a judge; see `learners.verdicts`."""
     named = {policy: _name_and_mode(policy)[0] for policy in policies}

@@ -53,7 +53,7 @@ PROGRESS_COLUMNS = (
 )
 
 CHECKSUM = "sha256"
-"""The key, in what a file tells of itself, of the SHA-256 of its tensors."""
+"""The key, in what a file tells of itself, of the SHA-256 of all else in it."""
 JUDGES = "judge."
 """What the names of the judge's tensors begin with among all that a checkpoint holds."""
 
@@ -123,6 +123,14 @@ class RunDirectory:
     def seed(self) -> int:
         """The seed the run was started with."""
         return int(self._about["seed"])
+
+    @property
+    def unfinished(self) -> str:
+        """That it has done fewer iterations than it is to have; empty if it has done them, or does not tell."""
+        if not (self.path / CHECKPOINT).exists():
+            return ""
+        done, wanted = self.checkpoint().iteration, self.config.train.n_iterations
+        return f"'{self.path}' has done {done} of {wanted} iterations; go on with --resume" if done < wanted else ""
 
     def policy(self) -> PolicyParameters:
         """Return the learned driver, with the senses that it was trained with.
@@ -254,7 +262,8 @@ def _read_driver(path: Path) -> tuple[PolicyParameters, Tensors, dict[str, Any]]
 
 def _bytes(tensors: Tensors, about: dict[str, Any]) -> bytes:
     # One metadata key: safetensors writes several in random order, and equal runs must give equal bytes.
-    text = json.dumps(about | {"version": own_version(), CHECKSUM: _checksum(tensors)}, sort_keys=True)
+    about = about | {"version": own_version()}
+    text = json.dumps(about | {CHECKSUM: _checksum(tensors, about)}, sort_keys=True)
     return safetensors.numpy.save(tensors, metadata={"rail_sumo": text})
 
 
@@ -263,8 +272,9 @@ def _read(path: Path) -> tuple[Tensors, dict[str, Any]]:
         with safe_open(path, framework="numpy") as file:
             tensors = {name: np.asarray(file.get_tensor(name)) for name in file.keys()}  # noqa: SIM118
             about = json.loads(file.metadata()["rail_sumo"])
-        if about.get(CHECKSUM, _checksum(tensors)) != _checksum(tensors):  # files from before it was there pass
-            raise ValueError("its numbers are not those that were written")
+        written = about.pop(CHECKSUM, None)
+        if written not in (None, _checksum(tensors, about)):  # files from before it was there pass
+            raise ValueError("its content is not what was written")
         return tensors, about
     except FileNotFoundError:
         raise InputError(
@@ -274,10 +284,10 @@ def _read(path: Path) -> tuple[Tensors, dict[str, Any]]:
         raise _damaged(path, error) from None
 
 
-def _checksum(tensors: Tensors) -> str:
-    """Return the SHA-256 of numbers, which safetensors does not keep."""
-    named = (name.encode() + np.ascontiguousarray(tensors[name]).tobytes() for name in sorted(tensors))
-    return hashlib.sha256(b"".join(named)).hexdigest()
+def _checksum(tensors: Tensors, about: Mapping[str, Any]) -> str:
+    """Return the SHA-256 of a file's numbers and of what it tells of itself, which safetensors does not keep."""
+    named = [name.encode() + np.ascontiguousarray(tensors[name]).tobytes() for name in sorted(tensors)]
+    return hashlib.sha256(b"".join([*named, json.dumps(about, sort_keys=True).encode()])).hexdigest()
 
 
 def _damaged(path: Path, error: Exception) -> InputError:

@@ -76,8 +76,15 @@ def _doubts(config: Config, demonstrations: Demonstrations) -> Iterator[str]:
     if theirs and theirs != ours:
         yield (
             f"the demonstrations were recorded on {', '.join(sorted(theirs))}, and this trains on "
-            f"{', '.join(sorted(ours))}: a judge may tell the roads apart in place of the drivers; record an expert "
-            f"there by rail-sumo expert record"
+            f"{', '.join(sorted(ours))}: a judge may tell the roads apart in place of the drivers; train there "
+            f"(--network), or record the same driver here (rail-sumo expert record --driver) and name that file by "
+            f"train.demonstrations"
+        )
+    if config.train.demonstrations != "expert":
+        asks = f", whom {config.train.learner} asks too" if learner_of(config).asks_the_expert else ""
+        yield (
+            f"the table at the end compares with the expert that train.expert names{asks}; if another made the "
+            f"demonstrations, compare with that one: rail-sumo eval RUN DRIVER --reference DRIVER"
         )
 
 

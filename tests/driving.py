@@ -33,6 +33,7 @@ def world(**sections):
     tree |= {name: tree.get(name, {}) | changes for name, changes in sections.items()}
     if tree["traffic"].get("routes"):
         tree["traffic"].setdefault("host", "added")
+        tree["traffic"].pop("speed_low_kmh")  # of made traffic
     return validate(tree)
 
 

@@ -280,7 +280,9 @@ def test_check_tells_the_edges_and_where_the_road_ends_too_soon(rail_sumo):
     assert "episodes of up to 8000 m;" in rail_sumo("network", "check", "highway5", *timed, "episode.duration_s=360")[1]
     demanding = ("--set", "traffic.behind_m=2000", "--set", "episode.course_m=7000")
     assert "warning" in rail_sumo("network", "check", "highway5", *demanding)[1]
-    assert "warning" not in rail_sumo("network", "check", "highway5", "--routes", "highway5", *demanding)[1]
+    with_routes = rail_sumo("network", "check", "highway5", "--routes", "highway5", *demanding)[1]
+    assert with_routes.splitlines()[-1] == "warning: traffic.behind_m: of made traffic, without effect on a demand"
+    assert with_routes.count("warning") == 1
 
 
 @pytest.fixture

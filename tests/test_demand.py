@@ -295,3 +295,11 @@ def test_types_may_lie_in_any_file_of_a_demand_and_in_a_distribution(tmp_path):
     assert not any(is_refused(demand.require_type, given, kind) for kind in ("van", "any", "bus"))
     with pytest.raises(InputError, match=r"'sumo:car' not found.* \(available: any, bus, van\)"):
         demand.require_type(given, "car")
+
+
+def test_keys_of_made_traffic_are_told_to_have_no_effect_on_a_demand():
+    with_cars = read(["highway3"])
+    (told,) = demand.without_effect(with_cars, config.Traffic(lorries=0.5, car_following="IDM"))
+    assert told == "traffic.lorries, traffic.car_following: of made traffic, without effect on a demand"
+    assert not list(demand.without_effect(with_cars, config.Traffic(scale=0.5)))
+    assert not list(demand.without_effect(read(), config.Traffic(lorries=0.5)))

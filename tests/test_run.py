@@ -393,7 +393,7 @@ def test_a_number_that_changed_on_the_disk_is_damage(trained, small, file):
     content = bytearray(path.read_bytes())
     content[-5] ^= 1
     path.write_bytes(content)
-    with pytest.raises(InputError, match=rf"{file}' is truncated or damaged .*not those that were written.*restore it"):
+    with pytest.raises(InputError, match=rf"{file}' is truncated or damaged .*not what was written.*restore it"):
         RunDirectory(trained).policy() if file == POLICY else RunDirectory(trained).checkpoint()
 
 
@@ -678,7 +678,7 @@ def test_a_policy_from_before_it_said_how_it_acts_acts_as_it_did(trained, small)
     path = trained / POLICY
     with safe_open(path, framework="numpy") as file:
         about = json.loads(file.metadata()["rail_sumo"])
-    for name in ("samples", "masked"):
+    for name in ("samples", "masked", "sha256"):
         del about[name]
     save_file(load_file(path), path, metadata={"rail_sumo": json.dumps(about)})
     kept = roster.find_driver(str(trained), small)
@@ -738,8 +738,9 @@ def test_demonstrations_that_do_not_tell_what_was_open_are_told_to_who_clones_th
             train={"demonstrations": str(tmp_path / f"{file}.parquet"), "iterations": 0}, policy={"masked": masked}
         )
         training.learn(world, tmp_path / f"{file}-{masked}", seed=1, observer=notes)
-    assert [len(notes.told) for notes in said.values()] == [0, 1, 0]
-    assert said["bare", True].told[0].endswith("too seldom; tell there what was open, or set policy.masked=false")
+    untold = [[line for line in notes.told if line == training.UNTOLD] for notes in said.values()]
+    assert list(map(len, untold)) == [0, 1, 0]
+    assert training.UNTOLD.endswith("too seldom; tell there what was open, or set policy.masked=false")
 
 
 def test_demonstrations_of_another_road_are_told_to_who_learns_from_them(small, driven, tmp_path):
@@ -754,6 +755,27 @@ def test_demonstrations_of_another_road_are_told_to_who_learns_from_them(small, 
     own = assets.network_name(small.network.file)
     (said,) = set(elsewhere.told) - set(here.told)
     assert said.startswith(f"the demonstrations were recorded on {own}, and this trains on ring5: ")
+
+
+def test_who_the_table_compares_with_is_told_where_the_demonstrations_are_another_file(small, driven, tmp_path):
+    told = {}
+    for learner in ("bc", "dagger"):
+        notes = told[learner] = Notes()
+        world = small.changed(train={"learner": learner, "iterations": 0})
+        training.learn(world, tmp_path / learner, seed=1, observer=notes)
+    said = "the table at the end compares with the expert that train.expert names"
+    first = [next(line for line in notes.told if line.startswith(said)) for notes in told.values()]
+    assert [line.split(";")[0] for line in first] == [said, f"{said}, whom dagger asks too"]
+
+
+def test_a_run_that_is_not_done_says_so(small, driven, tmp_path):
+    world = small.changed(train={"iterations": 1})
+    training.learn(world, tmp_path / "run", seed=1)
+    assert roster.unfinished([str(tmp_path / "run"), "rail", "keep"]) == []
+    config = tmp_path / "run" / CONFIG
+    config.write_text(config.read_text().replace("iterations = 1\n", "iterations = 5\n"))
+    (told,) = roster.unfinished([str(tmp_path / "run"), "rail", "keep"])
+    assert told == f"'{tmp_path / 'run'}' has done 1 of 5 iterations; go on with --resume"
 
 
 def test_where_ray_is_missing_no_run_is_begun(small, driven, tmp_path, monkeypatch):

@@ -249,6 +249,24 @@ def test_what_makes_figures_doubtful_is_kept_beside_them(world, tmp_path, figure
     assert json.loads((tmp_path / "out" / "evaluation.json").read_text())["notes"] == list(tables.notes)
 
 
+def test_who_finds_no_room_to_enter_is_told_of(tmp_path):
+    routes = tmp_path / "many.rou.xml"
+    routes.write_text(
+        '<routes><route id="r" edges="highway"/>'
+        '<flow id="f" route="r" begin="0" end="60" period="0.2" departLane="0"/></routes>'
+    )
+    world = config_file.validate({"network": {"file": "highway3"}, "traffic": {"routes": [str(routes)]}})
+    late = small(world, tmp_path / "out", drivers=("acc",), shares=(1.0,), seeds=1)
+    assert re.fullmatch(
+        r"vehicles still wait for room to enter at the end, \d+ to \d+ of them in the mean over seeds .*",
+        late.drive().notes[-1],
+    )
+    after = small(world, tmp_path / "after", drivers=("acc",), shares=(1.0,), seeds=1, warm_up_s=60.0)
+    assert (
+        after.drive().notes[0].startswith("the last vehicle departs at 60 s, before the period begins at 60 s: choose")
+    )
+
+
 def test_without_matplotlib_there_are_tables_and_a_word(monkeypatch, world, tmp_path, figures):
     monkeypatch.setattr(sweep, "find_spec", lambda name: None)
     monkeypatch.setattr(plot, "with_bands", None)
@@ -363,6 +381,21 @@ def test_on_the_command_line(monkeypatch, capsys, demand, tmp_path):
             "--warm-up takes seconds, or auto; got 'long'",
         ),
         (["sweep", "share", "0.5", "--driver", "acc"], "a share is of the cars of a demand, and there is none"),
+        (
+            [
+                "sweep",
+                "traffic.lorries",
+                "0",
+                "0.5",
+                "--driver",
+                "acc",
+                "--network",
+                "highway3",
+                "--routes",
+                str(demand),
+            ],
+            "traffic.lorries is of made traffic, without effect on a demand; vary traffic.scale",
+        ),
         (
             ["sweep", "share", "0.5", "--driver", "acc", "--driver", "rail", "--set", "lidar.n_rays=12"],
             "policy 'rail' was trained with lidar.n_rays = 24, not 12",

@@ -1,6 +1,7 @@
 """What `rail-sumo network check` tells before anybody drives."""
 
 import json
+import re
 from pathlib import Path
 
 import pytest
@@ -94,3 +95,11 @@ def test_the_flow_along_the_course_is_the_demands(tmp_path):
     assert found.flows_vehph == {"highway": pytest.approx(720.0, rel=0.02)}
     assert found.as_json["edges"][0]["flow_vehph"] == round(found.flows_vehph["highway"])
     assert trial.check(world()).flows_vehph == {}
+
+
+def test_the_check_tells_of_more_vehicles_than_the_road_takes(tmp_path):
+    path = tmp_path / "many.rou.xml"
+    flow = '<flow id="f" begin="0" end="90" period="0.25" departLane="0"><route edges="highway"/></flow>'
+    path.write_text(f"<routes>{flow}</routes>")
+    (told,) = trial.check(world(traffic={"routes": (str(path),), "host": "replaces"})).warnings
+    assert re.match(r"when the host enters, \d\d+ vehicles of the demand wait for room to enter: ", told)

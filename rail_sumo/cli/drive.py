@@ -24,6 +24,7 @@ from rail_sumo.cli.options import (
     network_of,
     overrides_of,
     require_page,
+    tell,
     typed,
     workers_of,
 )
@@ -70,6 +71,8 @@ def evaluate(
     _require_each_once(policies)
     world = roster.world(policies, overrides_of(network, routes, overrides), config=config_path)
     who = {policy: roster.find_driver(policy, world) for policy in policies}
+    for line in roster.unfinished(policies):
+        tell(line)
 
     def keep(tables: "Tables", whole: Path, **more: str) -> None:
         tables.save(whole)

@@ -46,9 +46,9 @@ def overrides_of(network: str | None, routes: list[str] | None, overrides: list[
         if left_out:
             options = ", ".join(option if "/" in value else f"{option} {value}" for option, value in left_out.items())
             steps = f"; steps take {SECONDS_PER_STEP:g} s" if "step-length" in left_out else ""
-            _tell(f"does not use these options of '{network}', and sets them itself: {options}{steps}")
+            tell(f"does not use these options of '{network}', and sets them itself: {options}{steps}")
         if not routes and not {"traffic.routes", "traffic.additional"} & world.keys():
-            _tell(f"'{network}' names no route-files: traffic is made around the host")
+            tell(f"'{network}' names no route-files: traffic is made around the host")
     elif network:
         world = {"network.file": network}
     if routes:
@@ -59,7 +59,8 @@ def overrides_of(network: str | None, routes: list[str] | None, overrides: list[
     return [*(f"{key}={json.dumps(value, ensure_ascii=False)}" for key, value in world.items()), *(overrides or ())]
 
 
-def _tell(what: str) -> None:
+def tell(what: str) -> None:
+    """Print what is worth knowing, and stops nothing."""
     print(f"rail-sumo: {what}", file=sys.stderr)
 
 

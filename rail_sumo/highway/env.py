@@ -290,6 +290,11 @@ class HighwayEnv(gymnasium.Env[Floats, np.int64]):
         return not any(map(host.heads_for_course, self._under_way().on_road() - {host.name}))
 
     @property
+    def n_waiting(self) -> int:
+        """How many vehicles are due to depart, and find no room yet."""
+        return self._under_way().n_waiting
+
+    @property
     def flows_vehph(self) -> dict[str, float]:
         """The flow on every edge of the course now, see `Host.flows_vehph`."""
         return self.agent.host.flows_vehph()

@@ -426,6 +426,11 @@ class Simulation:
         return libsumo.simulation.getTime()
 
     @property
+    def n_waiting(self) -> int:
+        """How many vehicles are due to depart, and find no room yet."""
+        return len(libsumo.simulation.getPendingVehicles())
+
+    @property
     def expects_vehicles(self) -> bool:
         """Whether anybody is on the road or yet to depart."""
         return libsumo.simulation.getMinExpectedNumber() > 0

@@ -13,6 +13,8 @@ from rail_sumo.highway.network.road import Road
 from rail_sumo.highway.stretch import Stretch
 from rail_sumo.records import KMH, MetaAction
 
+MANY_WAITING = 10
+"""So many vehicles of a demand that wait for room are told of."""
 WATCHED_DECISIONS = 60
 """For how many decisions the traffic is watched: a minute, unless `episode.decision_period_s` says otherwise."""
 
@@ -91,6 +93,8 @@ def check(world: Config, *, seed: int = 0) -> Findings:
             *_shortness(env),
             *road.warnings(env.stretch.road),
             *demand.warnings(env.demand),
+            *demand.without_effect(env.demand, world.traffic),
+            *_backlog(env),
             *_slowness(env),
             *_solitude(env),
         ]
@@ -125,6 +129,15 @@ def _shortness(env: HighwayEnv) -> Iterator[str]:
         yield (
             f"the road ends {stretch.drivable_m:.0f} m after the host's start, and so will episodes of up to "
             f"{farthest_m:.0f} m; set episode.course_m to {math.floor(stretch.drivable_m)} or less"
+        )
+
+
+def _backlog(env: HighwayEnv) -> Iterator[str]:
+    """Tell where more vehicles of the demand are to depart than find room."""
+    if env.demand.has_traffic and env.n_waiting >= MANY_WAITING:
+        yield (
+            f"when the host enters, {env.n_waiting} vehicles of the demand wait for room to enter: it is more than the "
+            f"road takes, and what is measured depends on how many have entered"
         )
 
 

@@ -27,6 +27,7 @@ from rail_sumo.config_file import first_difference
 from rail_sumo.errors import InputError
 from rail_sumo.files import check_folder, whole_file
 from rail_sumo.highway.fleet import Instead, demand_of
+from rail_sumo.highway.network.demand import OF_MADE_TRAFFIC
 from rail_sumo.pictures import plot
 from rail_sumo.rollout import EVALUATION, SILENT, Observer, Who, traffic_seed
 from rail_sumo.run_directory import CONFIG
@@ -48,9 +49,9 @@ from rail_sumo.tables.shares import (
 SHARE = "share"
 """What is swept over, unless it is a key of the configuration."""
 ACC = roster.INSTEAD
+"""The driver that is SUMO's own adaptive cruise control."""
 FIGURES = "figures"
 """The folder of its pictures."""
-"""The driver that is SUMO's own adaptive cruise control."""
 SECTIONS, PERIOD = ("network", "traffic", "adas", "lidar", "observation"), "episode.decision_period_s"
 """What may be swept over beside the share: numbers of these sections, and this one."""
 FOUND_OVER, FOUND_WITHIN_S = 2.0, 1200.0
@@ -115,6 +116,9 @@ class Sweep:
         table = report.typed(pd.concat(driven, ignore_index=True), TRAFFIC_COLUMNS)
         if not table.loc[table["vehicles"] == traffic.DRIVEN, "n_vehicles"].any():
             raise InputError("no car of the share was on the road in the period; change traffic.begin_s or --duration")
+        for note in _backlog(table):
+            notes.append(note)
+            self.observer.note(note)
         tables = Tables(table, summarised(table), compared(table), warm_up_s, tuple(notes))
         report.write(self.out, traffic=table, summary=tables.summary, differences=tables.differences, overwrite=True)
         run.describe(self.out, self.config, self.command, **({"notes": notes} if notes else {}))
@@ -158,6 +162,10 @@ class Sweep:
         if self.key not in (SHARE, PERIOD) and self.key.partition(".")[0] not in SECTIONS:
             raise InputError(
                 f"{self.key} has no effect on a sweep; vary a number of [{'], ['.join(SECTIONS)}] or {PERIOD}"
+            )
+        if self.key.removeprefix("traffic.") in OF_MADE_TRAFFIC:
+            raise InputError(
+                f"{self.key} is of made traffic, without effect on a demand; vary traffic.scale, or another"
             )
         for setting in self.settings if self.key != SHARE else ():
             try:
@@ -231,12 +239,29 @@ class Sweep:
             world = self._world(setting)
             last_s = demand_of(world).departs_s[1]
             ends_s = world.traffic.begin_s + warm_up_s + self.duration_s
-            if ends_s > last_s:
+            begins_s = ends_s - self.duration_s
+            if begins_s >= last_s:
+                yield (
+                    f"the last vehicle departs at {last_s:.0f} s, before the period begins at {begins_s:.0f} s"
+                    f"{f' at {self.key} = {setting}' if setting else ''}: choose a shorter --warm-up, or lengthen the "
+                    f"demand"
+                )
+            elif ends_s > last_s:
                 yield (
                     f"the last vehicle departs at {last_s:.0f} s, before the period ends at {ends_s:.0f} s"
                     f"{f' at {self.key} = {setting}' if setting else ''}: choose a shorter --duration, or lengthen the "
                     f"demand"
                 )
+
+
+def _backlog(table: pd.DataFrame) -> Iterator[str]:
+    """Tell where vehicles found no room to enter, which no mean of those on the road shows."""
+    waiting = table[table["vehicles"] == traffic.ALL].groupby(["driver", "setting", "share"])["waiting"].mean()
+    if waiting.max() >= 1.0:
+        yield (
+            f"vehicles still wait for room to enter at the end, {waiting.min():.0f} to {waiting.max():.0f} of them in "
+            f"the mean over seeds (column waiting): where that differs, speeds are of different traffic"
+        )
 
 
 class Tables(NamedTuple):

@@ -45,6 +45,11 @@ KNOWN = ADDITIONAL | frozenset({
 
 UNNAMED = frozenset({"calibrator", "person", "personFlow"})
 """Elements for which SUMO may make vehicles, with ids of its own."""
+OF_MADE_TRAFFIC = (
+    *("vehicles", "ahead_m", "behind_m", "speed_low_kmh", "speed_high_kmh", "lorries", "car_following"),
+    "lane_change_every_s",
+)
+"""Keys of `[traffic]` that are of the window of traffic that is made around a host without a demand."""
 UNREAD_OPTIONS = frozenset({"load-state", "device.fcd-replay.files"})
 """Options that name files with vehicles and types which are not read here."""
 
@@ -160,6 +165,14 @@ def read(traffic: config.Traffic) -> Demand:
             "out, and drive a share of the demand's cars by: rail-sumo sweep share"
         )
     return demand
+
+
+def without_effect(demand: Demand, traffic: config.Traffic) -> Iterator[str]:
+    """Tell which keys of ours were changed and have no effect on this demand."""
+    usual = config.Traffic()
+    idle = [name for name in OF_MADE_TRAFFIC if getattr(traffic, name) != getattr(usual, name)]
+    if demand.has_traffic and idle:
+        yield f"{', '.join(f'traffic.{name}' for name in idle)}: of made traffic, without effect on a demand"
 
 
 def warnings(demand: Demand) -> Iterator[str]:
