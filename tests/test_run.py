@@ -387,14 +387,17 @@ def test_a_policy_of_another_shape_is_damaged(trained, small):
         roster.find_driver(str(trained), small)
 
 
-@pytest.mark.parametrize("file", [POLICY, CHECKPOINT])
-def test_a_number_that_changed_on_the_disk_is_damage(trained, small, file):
+@pytest.mark.parametrize(
+    ("file", "read"),
+    [(POLICY, RunDirectory.policy), (CHECKPOINT, RunDirectory.checkpoint), (JUDGE, RunDirectory.judge)],
+)
+def test_a_number_that_changed_on_the_disk_is_damage(trained, file, read):
     path = trained / file
     content = bytearray(path.read_bytes())
     content[-5] ^= 1
     path.write_bytes(content)
     with pytest.raises(InputError, match=rf"{file}' is truncated or damaged .*not what was written.*restore it"):
-        RunDirectory(trained).policy() if file == POLICY else RunDirectory(trained).checkpoint()
+        read(RunDirectory(trained))
 
 
 def test_a_checkpoint_of_another_run_or_another_configuration_is_refused(trained, small, tmp_path):
