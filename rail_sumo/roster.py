@@ -72,7 +72,7 @@ def find_driver(policy: str, world: Config, *, also: Sequence[str] = (AS_A_TYPE,
 
 
 def who_drives(given: Who, world: Config) -> Who:
-    """Return who drives: whom a name stands for, as in `find_driver`, or what is given, if it can drive.
+    """Return the driver that a name stands for, see `find_driver`, or the one given, if it can drive.
 
     Raises:
         InputError: no such driver, or an object that is none.

@@ -126,10 +126,14 @@ class RunDirectory:
 
     @property
     def unfinished(self) -> str:
-        """That it has done fewer iterations than it is to have; empty if it has done them, or does not tell."""
-        if not (self.path / CHECKPOINT).exists():
-            return ""
-        done, wanted = self.checkpoint().iteration, self.config.train.n_iterations
+        """That it has done fewer iterations than it is to have; empty if it has done them.
+
+        Raises:
+            InputError: the policy's file is damaged.
+        """
+        _, _, about = _read_driver(self.path / POLICY)
+        wanted = self.config.train.n_iterations
+        done = about.get("iteration", wanted)  # files from before it was there
         return f"'{self.path}' has done {done} of {wanted} iterations; go on with --resume" if done < wanted else ""
 
     def policy(self) -> PolicyParameters:

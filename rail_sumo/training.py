@@ -81,9 +81,9 @@ def _doubts(config: Config, demonstrations: Demonstrations) -> Iterator[str]:
             f"train.demonstrations"
         )
     if config.train.demonstrations != "expert":
-        asks = f", whom {config.train.learner} asks too" if learner_of(config).asks_the_expert else ""
+        and_asks = f", whom {config.train.learner} asks too" if learner_of(config).asks_the_expert else ""
         yield (
-            f"the table at the end compares with the expert that train.expert names{asks}; if another made the "
+            f"the table at the end compares with the expert that train.expert names{and_asks}; if another made the "
             f"demonstrations, compare with that one: rail-sumo eval RUN DRIVER --reference DRIVER"
         )
 

@@ -249,13 +249,17 @@ def test_what_makes_figures_doubtful_is_kept_beside_them(world, tmp_path, figure
     assert json.loads((tmp_path / "out" / "evaluation.json").read_text())["notes"] == list(tables.notes)
 
 
-def test_who_finds_no_room_to_enter_is_told_of(tmp_path):
-    routes = tmp_path / "many.rou.xml"
-    routes.write_text(
-        '<routes><route id="r" edges="highway"/>'
-        '<flow id="f" route="r" begin="0" end="60" period="0.2" departLane="0"/></routes>'
+def one_lane(tmp_path, flow):
+    """A world whose demand is a flow of 60 s that departs on one lane, which takes less."""
+    path = tmp_path / "flow.rou.xml"
+    path.write_text(
+        f'<routes><route id="r" edges="highway"/><flow {flow} route="r" begin="0" end="60" departLane="0"/></routes>'
     )
-    world = config_file.validate({"network": {"file": "highway3"}, "traffic": {"routes": [str(routes)]}})
+    return config_file.validate({"network": {"file": "highway3"}, "traffic": {"routes": [str(path)]}})
+
+
+def test_who_finds_no_room_to_enter_is_told_of(tmp_path):
+    world = one_lane(tmp_path, 'id="f" period="0.2"')
     late = small(world, tmp_path / "out", drivers=("acc",), shares=(1.0,), seeds=1)
     assert re.fullmatch(
         r"vehicles still wait for room to enter at the end, \d+ to \d+ of them in the mean over seeds .*",
@@ -277,12 +281,7 @@ def test_without_matplotlib_there_are_tables_and_a_word(monkeypatch, world, tmp_
 
 
 def test_ids_that_look_like_numbers_are_ids_and_who_waits_is_driven_too(tmp_path):
-    routes = tmp_path / "numbers.rou.xml"
-    routes.write_text(
-        '<routes><route id="r" edges="highway"/>'
-        '<flow id="1" route="r" begin="0" end="60" period="0.5" departLane="0"/></routes>'
-    )
-    world = config_file.validate({"network": {"file": "highway3"}, "traffic": {"routes": [str(routes)]}})
+    world = one_lane(tmp_path, 'id="1" period="0.5"')
     table = small(world, tmp_path / "out", drivers=("acc",), shares=(1.0,), seeds=1).drive().traffic
     driven, others = (
         table[(table["driver"] == "acc") & (table["vehicles"] == kind)].iloc[0] for kind in ("driven", "others")

@@ -102,9 +102,8 @@ def evaluate(
         show(stop.tables, out)
         print(f"rail-sumo: interrupted {after}", file=sys.stderr)
         raise typer.Exit(130) from None
-    if (
-        out and not fcd
-    ):  # only after driving: what stops that leaves nothing behind, and is not told as a failure to write
+    # Written only after driving: what stops that leaves nothing behind, and is not told as a failure to write.
+    if out and not fcd:
         with files.whole_folder(out, overwrite=overwrite) as whole:
             keep(tables, whole)
     show(tables, out)

@@ -14,7 +14,7 @@ from rail_sumo.highway.stretch import Stretch
 from rail_sumo.records import KMH, MetaAction
 
 MANY_WAITING = 10
-"""So many vehicles of a demand that wait for room are told of."""
+"""From so many waiting vehicles on, a check warns of them."""
 WATCHED_DECISIONS = 60
 """For how many decisions the traffic is watched: a minute, unless `episode.decision_period_s` says otherwise."""
 

@@ -227,9 +227,8 @@ class Sweep:
             found_s = max(found_s, float(seconds))
             if not settles:
                 notes.append(
-                    f"the number of vehicles on the road does not settle within {len(counts)} s"
-                    f"{f' at {self.key} = {setting}' if setting else ''}: more come than leave; {seconds:.0f} s are "
-                    f"left out, and what follows depends on the period"
+                    f"the number of vehicles on the road does not settle within {len(counts)} s{self._at(setting)}: "
+                    f"more come than leave; {seconds:.0f} s are left out, and what follows depends on the period"
                 )
         return found_s, notes
 
@@ -238,20 +237,21 @@ class Sweep:
         for setting in self.settings:
             world = self._world(setting)
             last_s = demand_of(world).departs_s[1]
-            ends_s = world.traffic.begin_s + warm_up_s + self.duration_s
-            begins_s = ends_s - self.duration_s
-            if begins_s >= last_s:
-                yield (
-                    f"the last vehicle departs at {last_s:.0f} s, before the period begins at {begins_s:.0f} s"
-                    f"{f' at {self.key} = {setting}' if setting else ''}: choose a shorter --warm-up, or lengthen the "
-                    f"demand"
+            begins_s = world.traffic.begin_s + warm_up_s
+            ends_s = begins_s + self.duration_s
+            if ends_s > last_s:
+                is_over = begins_s >= last_s
+                moment, option = (
+                    (f"begins at {begins_s:.0f}", "warm-up") if is_over else (f"ends at {ends_s:.0f}", "duration")
                 )
-            elif ends_s > last_s:
                 yield (
-                    f"the last vehicle departs at {last_s:.0f} s, before the period ends at {ends_s:.0f} s"
-                    f"{f' at {self.key} = {setting}' if setting else ''}: choose a shorter --duration, or lengthen the "
-                    f"demand"
+                    f"the last vehicle departs at {last_s:.0f} s, before the period {moment} s{self._at(setting)}: "
+                    f"choose a shorter --{option}, or lengthen the demand"
                 )
+
+    def _at(self, setting: str) -> str:
+        """Return where in the sweep something holds, to be read on after what it is."""
+        return f" at {self.key} = {setting}" if setting else ""
 
 
 def _backlog(table: pd.DataFrame) -> Iterator[str]:
