@@ -199,6 +199,10 @@ class Trajectory:
     seed: int
     """Seed of the episode's traffic."""
     network: str
+    host: str
+    """SUMO's id of its vehicle."""
+    depart_s: float
+    """When that entered the road, by SUMO's clock."""
 
 
 EPISODE_COLUMNS: dict[str, str] = {
@@ -206,6 +210,8 @@ EPISODE_COLUMNS: dict[str, str] = {
     "episode": "int64",
     "seed": "int64",
     "network": "string",
+    "host": "string",
+    "depart_s": "float64",
     "duration_s": "float64",
     "distance_m": "float64",
     "speed_kmh": "float64",
@@ -262,6 +268,6 @@ DECISION_COLUMNS: dict[str, str] = {
 """Columns of the `decisions` table, in order, with their pandas types: a row per decision."""
 
 METRICS: tuple[str, ...] = tuple(
-    name for name, kind in EPISODE_COLUMNS.items() if kind != "string" and name not in ("episode", "seed")
+    name for name, kind in EPISODE_COLUMNS.items() if kind != "string" and name not in ("episode", "seed", "depart_s")
 )
 """The numeric columns of `episodes` that `summary` summarises."""

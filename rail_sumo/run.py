@@ -116,8 +116,7 @@ def evaluate(
     fcd = Path(fcd) if fcd else None
     if fcd:
         _check_fcd(fcd, workers)
-    own = demand.read(world.traffic)
-    for warning in (*demand.warnings(own), *demand.without_effect(own, world.traffic)):
+    for warning in demand.warnings(demand.read(world.traffic), world.traffic):
         observer.note(warning)
     # One episode of everybody's after another: where that is interrupted, each has as many, or one less.
     labels = [(name, episode) for episode in range(episodes) for name in policies]

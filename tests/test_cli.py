@@ -266,6 +266,21 @@ def test_a_sumocfg_brings_its_network_demand_and_options_and_what_is_ours_is_tol
     assert "begin_s = 9.0" in rail_sumo("config", "--network", "a/my.sumocfg", *others)[1]
 
 
+def test_a_file_that_a_sumocfg_names_and_is_not_there_is_told_with_it_unless_another_is_given(rail_sumo, tmp_path):
+    (tmp_path / "a").mkdir()
+    network = assets.network("highway3")
+    options = f'<net-file value="{network}"/><route-files value="lost.rou.xml"/><end value="9"/>'
+    (tmp_path / "a" / "my.sumocfg").write_text(f"<configuration>{options}</configuration>")
+    told = "rail-sumo: 'a/my.sumocfg' names 'a/lost.rou.xml', which does not exist; correct it, or set traffic.routes"
+    for command in (("network", "check"), ("eval", "keep", "--network")):
+        code, _, err = rail_sumo(*command, "a/my.sumocfg")
+        assert (code, err.strip()) == (2, f"{told} yourself")
+    for instead in (("--routes", "highway3"), ("--set", 'traffic.routes=["highway3"]')):
+        code, out, _ = rail_sumo("config", "--network", "a/my.sumocfg", *instead)
+        assert code == 0
+        assert "highway3" in out
+
+
 def test_check_tells_the_edges_and_where_the_road_ends_too_soon(rail_sumo):
     assert rail_sumo("network", "check", "highway5")[1] == (
         "highway5: road of 8,200 m with 5 lanes\nedges: highway\nlimit: 80 km/h\n"

@@ -8,6 +8,8 @@ from rail_sumo import assets, config
 from rail_sumo.errors import InputError
 from rail_sumo.highway.network import demand
 
+AS_USUAL = config.Traffic()
+
 
 def written(tmp_path, content, name="own.rou.xml"):
     path = tmp_path / name
@@ -26,7 +28,7 @@ def test_demand_with_traffic_passes_though_it_lies_in_another_file_than_the_type
     assert [str(path) for path in read([types, traffic]).routes] == [types, traffic]
     assert read([types, traffic]).has_traffic
     assert not read([types]).has_traffic
-    (told,) = demand.warnings(read([types]))
+    (told,) = demand.warnings(read([types]), AS_USUAL)
     assert told.endswith("types.rou.xml' has no <vehicle>, <flow> or <trip>: traffic is made for the host")
 
 
@@ -50,8 +52,8 @@ def test_additional_files_are_read_too_and_told_in_the_place_of_routes(tmp_path)
     traffic = written(tmp_path, '<routes><vehicle id="0"/></routes>')
     stops = written(tmp_path, '<additional><busStop id="s"/></additional>', "stops.add.xml")
     assert [str(path) for path in read([traffic], [stops]).additional] == [stops]
-    assert not list(demand.warnings(read([traffic], [stops])))
-    (told,) = demand.warnings(read([traffic, stops]))
+    assert not list(demand.warnings(read([traffic], [stops]), AS_USUAL))
+    (told,) = demand.warnings(read([traffic, stops]), AS_USUAL)
     assert "has <busStop>, which SUMO reads from additional files only; move it to a file of its own, and " in told
     with pytest.raises(InputError, match=r"^additional file 'none\.add\.xml' does not exist"):
         read([traffic], ["none.add.xml"])
@@ -147,14 +149,14 @@ def test_a_comma_in_a_path_is_refused(tmp_path):
 def test_departures_out_of_order_are_told(tmp_path, departures, late):
     vehicles = "".join(f'<vehicle id="v{k}" depart="{at}"/>' for k, at in enumerate(departures))
     path = written(tmp_path, f'<routes>{vehicles}<flow id="f" begin="1000"/></routes>')
-    told = list(demand.warnings(read([path])))
+    told = list(demand.warnings(read([path]), AS_USUAL))
     assert len(told) == (late is not None)
     assert all(f"is not in order of departure: {late} may enter late" in one for one in told)
 
 
 def test_a_flow_departs_when_it_begins(tmp_path):
     path = written(tmp_path, '<routes><flow id="f" begin="1000"/><vehicle id="v" depart="90"/></routes>')
-    (told,) = demand.warnings(read([path]))
+    (told,) = demand.warnings(read([path]), AS_USUAL)
     assert "is not in order of departure: 'v' may enter late" in told
 
 
@@ -284,7 +286,7 @@ def test_with_a_state_that_is_loaded_nobody_and_no_type_is_refused(tmp_path):
 def test_whether_a_demand_may_have_cars_follows_from_the_types_of_its_vehicles(tmp_path, rows, may_have):
     given = read([written(tmp_path, f"<routes>{rows}</routes>")])
     assert given.may_have_cars == may_have
-    assert any("no cars" in warning for warning in demand.warnings(given)) != may_have
+    assert any("no cars" in warning for warning in demand.warnings(given, AS_USUAL)) != may_have
 
 
 def test_types_may_lie_in_any_file_of_a_demand_and_in_a_distribution(tmp_path):
@@ -299,7 +301,7 @@ def test_types_may_lie_in_any_file_of_a_demand_and_in_a_distribution(tmp_path):
 
 def test_keys_of_made_traffic_are_told_to_have_no_effect_on_a_demand():
     with_cars = read(["highway3"])
-    (told,) = demand.without_effect(with_cars, config.Traffic(lorries=0.5, car_following="IDM"))
+    (told,) = demand.warnings(with_cars, config.Traffic(lorries=0.5, car_following="IDM"))
     assert told == "traffic.lorries, traffic.car_following: of made traffic, without effect on a demand"
-    assert not list(demand.without_effect(with_cars, config.Traffic(scale=0.5)))
-    assert not list(demand.without_effect(read(), config.Traffic(lorries=0.5)))
+    assert not list(demand.warnings(with_cars, config.Traffic(scale=0.5)))
+    assert not list(demand.warnings(read(), config.Traffic(lorries=0.5)))

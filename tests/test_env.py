@@ -1,6 +1,7 @@
 import dataclasses
 import math
 import re
+import xml.etree.ElementTree as ElementTree
 
 import gymnasium
 import libsumo
@@ -407,6 +408,21 @@ def test_a_report_that_is_asked_for_is_called_as_asked_beside_detectors_too(make
     env.close()
     assert sorted(path.name for path in tmp_path.iterdir()) == ["d.add.xml", "trips.xml"]
     assert HOST in (tmp_path / "trips.xml").read_text()
+
+
+@pytest.mark.parametrize("host", ["replaces", "added"])
+def test_the_row_names_the_vehicle_and_when_it_departed_as_sumos_trip_report_does(make, tmp_path, host):
+    asked = ("--tripinfo-output", str(tmp_path / "trips.xml"), "--tripinfo-output.write-unfinished", "true")
+    there = world(network={"file": "highway3"}, traffic={"routes": ("highway3",), "host": host})
+    env = HighwayEnv(there, outputs=asked)
+    env.reset(seed=UNSEEN)
+    while not env.is_over:
+        _, _, _, _, info = env.step(KEEP)
+    env.close()
+    trips = ElementTree.parse(tmp_path / "trips.xml").iter("tripinfo")
+    departs = {trip.get("id"): trip.get("depart") for trip in trips}
+    assert info["depart_s"] == pytest.approx(float(departs[info["host"]]))
+    assert (info["host"] == HOST) == (host == "added")
 
 
 def test_beside_a_users_own_traffic_nobody_is_added(make, tmp_path):

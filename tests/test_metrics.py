@@ -41,6 +41,8 @@ def trajectory(speed_mps, **changes):
         end_reason="duration",
         seed=7,
         network="highway5",
+        host="host",
+        depart_s=0.0,
         **fields,
     )
     return dataclasses.replace(uneventful, **changes)

@@ -62,6 +62,8 @@ def drive(task):
         end_reason="duration",
         seed=task.seed,
         network="highway5",
+        host="host",
+        depart_s=0.0,
     )
 
 

@@ -240,12 +240,14 @@ def test_a_key_may_be_swept_over(world, tmp_path, figures):
 
 def test_what_makes_figures_doubtful_is_kept_beside_them(world, tmp_path, figures):
     hears = Hears()
+    world = world.changed(traffic={"lorries": 0.5})
     swept = small(world, tmp_path / "out", drivers=("acc",), shares=(1.0,), seeds=1, duration_s=190.0, observer=hears)
-    note = "the last vehicle departs at 200 s, before the period ends at "
+    notes = ("traffic.lorries: of made traffic", "the last vehicle departs at 200 s, before the period ends at ")
     tables = swept.drive()
-    assert [told.startswith(note) for told in tables.notes] == [True]
-    assert tables.notes[0] in hears.said
-    assert f"Note: {tables.notes[0]}." in (tmp_path / "out" / "sweep.md").read_text()
+    for told, begins in zip(tables.notes, notes, strict=True):
+        assert told.startswith(begins)
+        assert told in hears.said
+        assert f"{told}." in (tmp_path / "out" / "sweep.md").read_text()
     assert json.loads((tmp_path / "out" / "evaluation.json").read_text())["notes"] == list(tables.notes)
 
 

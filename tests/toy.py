@@ -68,4 +68,6 @@ def episode(observations, actions, end_reason="duration", seed=0, carried_out=No
         end_reason=end_reason,
         seed=seed,
         network="nowhere",
+        host="host",
+        depart_s=0.0,
     )

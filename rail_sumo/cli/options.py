@@ -39,15 +39,18 @@ Overwrite = Annotated[bool, typer.Option("--overwrite", help="Replace what is th
 def overrides_of(network: str | None, routes: list[str] | None, overrides: list[str] | None) -> list[str]:
     """Return the options that choose a world as overrides of the configuration."""
     world: dict[str, Any] = {}
+    own = {override.partition("=")[0].strip() for override in overrides or ()}
+    own |= {"traffic.routes"} if routes else set()
     if network and is_configuration(Path(network)):
         from rail_sumo.highway.network import sumocfg  # SUMO takes half a second to import
 
         world, left_out = sumocfg.read(Path(network))
+        sumocfg.require_files(Path(network), {key: value for key, value in world.items() if key not in own})
         if left_out:
             options = ", ".join(option if "/" in value else f"{option} {value}" for option, value in left_out.items())
             steps = f"; steps take {SECONDS_PER_STEP:g} s" if "step-length" in left_out else ""
             tell(f"does not use these options of '{network}', and sets them itself: {options}{steps}")
-        if not routes and not {"traffic.routes", "traffic.additional"} & world.keys():
+        if {"traffic.routes", "traffic.additional"}.isdisjoint(own | world.keys()):
             tell(f"'{network}' names no route-files: traffic is made around the host")
     elif network:
         world = {"network.file": network}

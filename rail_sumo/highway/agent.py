@@ -313,6 +313,8 @@ class Agent:
             end_reason=self.end,
             seed=seed,
             network=self.stretch.road.name,
+            host=host.name,
+            depart_s=host.depart_s,
         )
 
 

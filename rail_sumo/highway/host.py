@@ -95,6 +95,8 @@ class Host:
         self._leader: Leader | None = None
         self._leader_name = ""
         self._leader_speeds_mps: deque[float] = deque(maxlen=round(0.5 / SECONDS_PER_STEP) + 1)
+        self.depart_s = math.nan
+        """When it entered the road, by SUMO's clock."""
         self.speeds_mps: list[float] = []
         self.collisions = 0
         self.struck = 0
@@ -155,7 +157,8 @@ class Host:
         self._set("MaxSpeed", speed_mps)
 
     def begin(self) -> None:
-        """Note the speed at which the host has entered, and who is ahead."""
+        """Note when and at which speed the host has entered, and who is ahead."""
+        self.depart_s = libsumo.vehicle.getDeparture(self.name)
         self.speeds_mps.append(libsumo.vehicle.getSpeed(self.name))
         self._leader = self._look_ahead()
 

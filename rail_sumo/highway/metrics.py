@@ -21,6 +21,8 @@ def row(trajectory: Trajectory, adas: Adas) -> dict[str, Any]:
     return {
         "seed": trajectory.seed,
         "network": trajectory.network,
+        "host": trajectory.host,
+        "depart_s": trajectory.depart_s,
         "duration_s": len(speed_mps) * SECONDS_PER_STEP,
         "distance_m": trajectory.distance_m,
         "speed_kmh": _speed_kmh(trajectory),

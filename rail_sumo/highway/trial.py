@@ -92,13 +92,12 @@ def check(world: Config, *, seed: int = 0) -> Findings:
         warnings = [
             *_shortness(env),
             *road.warnings(env.stretch.road),
-            *demand.warnings(env.demand),
-            *demand.without_effect(env.demand, world.traffic),
+            *demand.warnings(env.demand, world.traffic),
             *_backlog(env),
             *_slowness(env),
             *_solitude(env),
         ]
-        host, enters_s, n_signals = env.host_name, env.scene.time_s, env.n_signals_ahead
+        host, enters_s, n_signals = env.host_name, env.agent.host.depart_s, env.n_signals_ahead
         return Findings(
             env.stretch.road,
             host=host if env.is_one_of_the_demand else "",

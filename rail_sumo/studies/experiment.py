@@ -40,7 +40,7 @@ CELL_COLUMNS = {
     "as_trained": "bool",  # whether that is the mode it was trained in
     "trajectories": "int64",
     "training_seed": "int64",
-    **{name: kind for name, kind in EPISODE_COLUMNS.items() if name != "policy"},
+    **{name: kind for name, kind in EPISODE_COLUMNS.items() if name not in ("policy", "host", "depart_s")},
     "told_apart": "float64",  # by a fresh classifier, see `audit`
 }
 

@@ -27,7 +27,7 @@ from rail_sumo.config_file import first_difference
 from rail_sumo.errors import InputError
 from rail_sumo.files import check_folder, whole_file
 from rail_sumo.highway.fleet import Instead, demand_of
-from rail_sumo.highway.network.demand import OF_MADE_TRAFFIC
+from rail_sumo.highway.network import demand
 from rail_sumo.pictures import plot
 from rail_sumo.rollout import EVALUATION, SILENT, Observer, Who, traffic_seed
 from rail_sumo.run_directory import CONFIG
@@ -101,6 +101,7 @@ class Sweep:
             raise InputError(f"'{self.out}' holds a run or an evaluation ({other}); choose another --out for the sweep")
         planned = list(self._work())  # every driver is found, or not, before the first run
         warm_up_s, notes = self._found_warm_up() if self.warm_up_s is None else (self.warm_up_s, [])
+        notes += demand.warnings(demand_of(self.config), self.config.traffic)
         notes += self._early_ends(warm_up_s)
         for note in notes:
             self.observer.note(note)
@@ -163,7 +164,7 @@ class Sweep:
             raise InputError(
                 f"{self.key} has no effect on a sweep; vary a number of [{'], ['.join(SECTIONS)}] or {PERIOD}"
             )
-        if self.key.removeprefix("traffic.") in OF_MADE_TRAFFIC:
+        if self.key.removeprefix("traffic.") in demand.OF_MADE_TRAFFIC:
             raise InputError(
                 f"{self.key} is of made traffic, without effect on a demand; vary traffic.scale, or another"
             )

@@ -167,16 +167,9 @@ def read(traffic: config.Traffic) -> Demand:
     return demand
 
 
-def without_effect(demand: Demand, traffic: config.Traffic) -> Iterator[str]:
-    """Tell which keys of ours were changed and have no effect on this demand."""
-    usual = config.Traffic()
-    idle = [name for name in OF_MADE_TRAFFIC if getattr(traffic, name) != getattr(usual, name)]
-    if demand.has_traffic and idle:
-        yield f"{', '.join(f'traffic.{name}' for name in idle)}: of made traffic, without effect on a demand"
-
-
-def warnings(demand: Demand) -> Iterator[str]:
-    """Tell what SUMO would not do as it is written, and says nothing about."""
+def warnings(demand: Demand, traffic: config.Traffic) -> Iterator[str]:
+    """Tell what SUMO would not do as it is written, and says nothing about, and which of our keys do nothing."""
+    yield from _without_effect(demand, traffic)
     if demand.routes and not demand.has_traffic:
         names = "', '".join(map(str, demand.routes))
         yield f"'{names}' has no <vehicle>, <flow> or <trip>: traffic is made for the host"
@@ -198,6 +191,14 @@ def warnings(demand: Demand) -> Iterator[str]:
                 f"demand '{path}' is not in order of departure: '{late[0]}'{more} may enter late or never; sort it, by "
                 f"SUMO's tools/route/sort_routes.py for example"
             )
+
+
+def _without_effect(demand: Demand, traffic: config.Traffic) -> Iterator[str]:
+    """Tell which keys of ours were changed and have no effect on this demand."""
+    usual = config.Traffic()
+    idle = [name for name in OF_MADE_TRAFFIC if getattr(traffic, name) != getattr(usual, name)]
+    if demand.has_traffic and idle:
+        yield f"{', '.join(f'traffic.{name}' for name in idle)}: of made traffic, without effect on a demand"
 
 
 def require_vehicle(demand: Demand, name: str) -> None:

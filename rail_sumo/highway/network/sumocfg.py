@@ -7,6 +7,7 @@ import os
 import re
 import tempfile
 import xml.etree.ElementTree as ElementTree
+from collections.abc import Mapping
 from pathlib import Path, PureWindowsPath
 from typing import Any
 from urllib.parse import unquote
@@ -21,6 +22,8 @@ INPUT_FILES = (
     *("astar.all-distances", "astar.landmark-distances", "device.fcd-replay.files"),
 )
 """Options that name files to be read."""
+FILE_KEYS = frozenset({"network.file", "traffic.routes", "traffic.additional"})
+"""Those keys of ours whose values are files."""
 
 UNTOLD_TOPICS = frozenset({"report", "gui_only", "traci_server"})
 """Topics of SUMO's options that are about what is shown, and matter to no result."""
@@ -68,6 +71,19 @@ def read(path: Path) -> tuple[dict[str, Any], dict[str, str]]:
     if passed_on:
         keys["traffic.options"] = [f"{option}={value}" for option, value in passed_on.items()]
     return keys, {option: options[option] for option in left_out if topic_of[option] not in UNTOLD_TOPICS}
+
+
+def require_files(path: Path, keys: Mapping[str, Any]) -> None:
+    """Raise InputError if a file that a configuration of SUMO's names is not there.
+
+    Args:
+        path: the configuration.
+        keys: those of ours that it sets, as of `read`, without what is not to be used.
+    """
+    for key in FILE_KEYS & keys.keys():
+        for file in [keys[key]] if isinstance(keys[key], str) else keys[key]:
+            if not Path(file).exists():
+                raise InputError(f"'{path}' names '{file}', which does not exist; correct it, or set {key} yourself")
 
 
 def _early_entry(begin_s: float, end: str) -> dict[str, float]:
