@@ -106,10 +106,7 @@ def resolved(config: Config) -> Config:
     if not learner.iterations and iterations not in ("default", 0):
         raise InputError(f"learner '{config.train.learner}' has no iterations, got {iterations}; leave them out")
     given = config.train
-    return config.changed(
-        network={"file": assets.absolute(config.network.file)},
-        traffic={name: tuple(map(assets.absolute, getattr(config.traffic, name))) for name in ("routes", "additional")},
-        varied={"networks": tuple(map(assets.absolute, config.varied.networks))},
+    return located(config).changed(
         train={
             "iterations": learner.iterations if iterations == "default" else iterations,
             "expert": assets.absolute(given.expert),
@@ -118,6 +115,15 @@ def resolved(config: Config) -> Config:
             else assets.absolute(given.demonstrations),
         },
         policy={"mode": (SAMPLED if learner.samples else ARGMAX) if mode == "default" else mode},
+    )
+
+
+def located(world: Config) -> Config:
+    """Return a configuration that names the files of its world by their absolute paths."""
+    return world.changed(
+        network={"file": assets.absolute(world.network.file)},
+        traffic={name: tuple(map(assets.absolute, getattr(world.traffic, name))) for name in ("routes", "additional")},
+        varied={"networks": tuple(map(assets.absolute, world.varied.networks))},
     )
 
 
