@@ -307,7 +307,10 @@ def describe(folder: Path, world: Config, command: str, **more: Any) -> None:
         more: what else there is to tell, by name.
     """
     about = {"command": command, **more, "files": training.world_inputs(world), **_versions()}
-    for name, text in ((report.WORLD, dumps(training.located(world))), (report.ORIGIN, json.dumps(about, indent=2) + "\n")):
+    for name, text in (
+        (report.WORLD, dumps(training.located(world))),
+        (report.ORIGIN, json.dumps(about, indent=2) + "\n"),
+    ):
         with whole_file(folder / name) as partial:
             partial.write_text(text, encoding="utf-8")
 

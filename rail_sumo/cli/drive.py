@@ -111,9 +111,9 @@ def evaluate(
         print(f"floating-car data in {out / FCD}")
     if out and replays:
         _forget(out, REPLAYS)
+        judges = roster.judges_of(policies)
         try:
             with files.whole_folder(out / REPLAYS) as whole:
-                judges = roster.judges_of(policies)
                 replay.write_most_telling(tables.episodes, who, judges, world, whole, seed=seed, number=replays)
         except KeyboardInterrupt:
             print(f"rail-sumo: interrupted; the tables are in {out}, without pages to watch", file=sys.stderr)
@@ -166,7 +166,7 @@ def replay(
     overwrite: Overwrite = False,
 ) -> None:
     """Watch an episode of an evaluation, or any SUMO run, in a browser: one file, which needs nothing else."""
-    from rail_sumo import replay, roster, run
+    from rail_sumo import replay, roster
 
     require_page(out, "a replay")
     recordings = [one for one in what if Path(one).is_file()]
@@ -188,19 +188,24 @@ def replay(
     else:
         if begin is not None or end is not None:
             raise InputError("--begin and --end cut floating-car data; of an episode all is shown")
-        for one in map(Path, what):
-            if one.suffix in FCD_SUFFIXES and not one.exists():
-                raise InputError(f"floating-car data '{one}' do not exist (current folder: {Path.cwd()})")
-            part = next(one.rglob(run.PART), None) if FCD in (one.name, *one.parent.parts) else None
-            if part:
-                raise InputError(
-                    f"'{one}' is a folder of floating-car data, a file an episode; name one, such as '{part}'"
-                )
+        _require_no_recordings(what)
         _require_each_once(what)
         world = roster.world(what, overrides_of(network, routes, overrides), config=config_path)
         who = {policy: roster.find_driver(policy, world) for policy in what}
         replay.write(who, world, out, seed=seed, episode=episode, judges=roster.judges_of(what), overwrite=overwrite)
     print(f"replay in {out}; open it in a browser")
+
+
+def _require_no_recordings(policies: list[str]) -> None:
+    """Raise InputError if what was named as a policy was meant as floating-car data."""
+    from rail_sumo.run import PART
+
+    for one in map(Path, policies):
+        if one.suffix in FCD_SUFFIXES and not one.exists():
+            raise InputError(f"floating-car data '{one}' do not exist (current folder: {Path.cwd()})")
+        part = next(one.rglob(PART), None) if FCD in (one.name, *one.parent.parts) else None
+        if part:
+            raise InputError(f"'{one}' is a folder of floating-car data, a file an episode; name one, such as '{part}'")
 
 
 def _require_each_once(policies: list[str]) -> None:
