@@ -90,7 +90,7 @@ BAD = {
     "eval keep --network highwy5": "network 'highwy5' not found; did you mean 'highway5'? (available: arterial, ",
     "eval keep --network none.net.xml": "network file 'none.net.xml' does not exist (current folder: ",
     "eval keep --network none.sumocfg": "network file 'none.sumocfg' does not exist (current folder: ",
-    "eval keep --network cut.sumocfg": "cannot read 'cut.sumocfg': ",
+    "eval keep --network cut.sumocfg": "'cut.sumocfg' is not a complete XML file: ",
     "eval keep --set network.file=cut.sumocfg": "network 'cut.sumocfg' is not a complete XML file: ",
     "eval keep --network cut.net.xml": "network 'cut.net.xml' is not a complete XML file: ",
     "eval keep --network closed.net.xml": "network 'closed.net.xml' has no edge that is open to cars; rail",

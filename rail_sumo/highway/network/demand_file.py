@@ -9,14 +9,7 @@ from pathlib import Path
 
 from rail_sumo.errors import InputError
 from rail_sumo.highway.names import OURS
-from rail_sumo.highway.network.sumo_xml import (
-    UNKNOWN_ENCODING,
-    UNREADABLE,
-    elements,
-    is_configuration,
-    seconds,
-    state_of,
-)
+from rail_sumo.highway.network.sumo_xml import elements, is_configuration, seconds, state_of
 
 TRAFFIC_ELEMENTS = ("vehicle", "flow", "trip")
 """Elements that put somebody on the road."""
@@ -137,14 +130,9 @@ def read(path: Path) -> DemandFile:
 @cache  # every episode asks
 def _read(path: Path, state: tuple[int, int]) -> DemandFile:
     said, root = DemandFile(), ""
-    try:
-        for element in elements(path):
-            said.note(element)
-            root = element.tag  # which ends last
-    except InputError:
-        raise
-    except (*UNREADABLE, *UNKNOWN_ENCODING) as error:
-        raise InputError(f"'{path}' is not a complete XML file: {error}") from None
+    for element in elements(path):
+        said.note(element)
+        root = element.tag  # which ends last
     if not said.is_known:
         instead = "give it to --network" if is_configuration(path) else "give a .rou.xml or an .add.xml"
         raise InputError(f"'{path}' holds <{root}>, which is no traffic of SUMO's; {instead}")

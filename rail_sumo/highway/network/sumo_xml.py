@@ -45,19 +45,23 @@ def elements(path: Path) -> Iterator[ElementTree.Element]:
     """Yield a file's elements as they end, each with what is in it, which is forgotten afterwards.
 
     Raises:
-        InputError: it nests deeper than any of SUMO's files.
-        `UNREADABLE`, `UNKNOWN_ENCODING`: it is no whole XML.
+        InputError: it is no whole XML, or nests deeper than any of SUMO's files.
     """
     depth = 0
-    with opened(path) as stream:
-        for event, element in ElementTree.iterparse(stream, events=("start", "end")):
-            if event == "start":
-                depth += 1
-                require_flat(path, depth)
-            else:
-                depth -= 1
-                yield element
-                element.clear()
+    try:
+        with opened(path) as stream:
+            for event, element in ElementTree.iterparse(stream, events=("start", "end")):
+                if event == "start":
+                    depth += 1
+                    require_flat(path, depth)
+                else:
+                    depth -= 1
+                    yield element
+                    element.clear()
+    except InputError:
+        raise
+    except (*UNREADABLE, *UNKNOWN_ENCODING) as error:
+        raise InputError(f"'{path}' is not a complete XML file: {getattr(error, 'strerror', '') or error}") from None
 
 
 def require_flat(path: Path, depth: int) -> None:

@@ -15,7 +15,7 @@ from urllib.parse import unquote
 from rail_sumo.config import Traffic
 from rail_sumo.errors import InputError
 from rail_sumo.highway import sumo_process
-from rail_sumo.highway.network.sumo_xml import UNKNOWN_ENCODING, UNREADABLE, elements, seconds
+from rail_sumo.highway.network.sumo_xml import UNREADABLE, elements, seconds
 
 INPUT_FILES = (
     *("net-file", "route-files", "additional-files", "weight-files", "load-state", "phemlight-path"),
@@ -110,12 +110,7 @@ def is_ours(option: str, topic: str = "") -> bool:
 
 def _resolved(path: Path) -> tuple[dict[str, str], dict[str, str]]:
     """Return the topics and the values of the options that are set, by their present names, as SUMO reads them."""
-    try:
-        tags = {element.tag for element in elements(path)}  # before SUMO, which takes its time over what looks like one
-    except InputError:
-        raise
-    except (*UNREADABLE, *UNKNOWN_ENCODING) as error:
-        raise InputError(f"cannot read '{path}': {getattr(error, 'strerror', None) or error}") from None
+    tags = {element.tag for element in elements(path)}  # before SUMO, which takes its time over what looks like one
     if "configuration-file" in tags:
         raise InputError(f"'{path}' names another configuration (configuration-file); give that one to --network")
     with tempfile.TemporaryDirectory() as folder:
