@@ -9,6 +9,9 @@ from rail_sumo.tables.statistics import difference, mean, probability_of_improve
 
 scores = arrays.arrays(np.float64, st.tuples(st.integers(1, 4), st.integers(1, 6)), elements=st.integers(-5, 5))
 
+several = st.integers(2, 8).flatmap(lambda n: arrays.arrays(np.float64, (2, n), elements=st.integers(0, 20)))
+pairs = several.filter(lambda pair: pair[1].any())
+
 
 def test_of_trainings_the_units_are_their_means_of_one_driver_its_episodes():
     driven = [[1.0, 3.0], [5.0, 9.0]]
@@ -58,6 +61,30 @@ def test_what_is_compared_on_the_same_traffic_is_compared_unit_by_unit():
     assert always.low == always.high == always.value  # without exception
     narrow, wide = ratio(ours, theirs), ratio(ours, theirs[::-1])
     assert wide.high - wide.low > 5 * (narrow.high - narrow.low)
+
+
+@given(pairs)
+def test_the_ratio_may_be_1_just_where_the_difference_may_be_0(pair):
+    ours, theirs = pair
+    told, differs = ratio(ours, theirs), difference(ours, theirs)
+    if np.isfinite(told.low) and min(map(abs, differs[1:])) > 1e-6:
+        assert (told.low <= 1.0 <= told.high) == (differs.low <= 0.0 <= differs.high)
+
+
+@given(pairs)
+def test_the_ends_of_a_ratio_are_where_students_test_turns(pair):
+    ours, theirs = pair
+    told = ratio(ours, theirs)
+    for end in told[1:]:
+        if np.isfinite(end) and told.high - told.low > 1e-3:
+            assert stats.ttest_1samp(ours - end * theirs, 0.0).pvalue == pytest.approx(0.05, rel=1e-4)
+
+
+@pytest.mark.parametrize("ours", [[0, 0, 0, 0, 2], [0, 0, 0, 0, 0], [1, 0, 0, 0, 0]])
+def test_a_ratio_to_what_happened_once_has_no_interval(ours):
+    value, low, high = ratio(ours, [0, 0, 0, 0, 1])
+    assert value == sum(ours)
+    assert np.isnan([low, high]).all()
 
 
 def test_the_ratio_is_of_means():

@@ -6,8 +6,9 @@ training are alike: `units` makes them. Intervals are Student's, of 95 %: they h
 two units as for two hundred, as long as the units vary about normally (tests/test_statistics.py measures how often, on
 trainings that differ as they do here). What they cannot do with few units is be narrow.
 
-Two drivers on the same traffic are compared unit by unit. The ratio is of means; its interval takes the ratio as linear
-near its value (the delta method; Cochran, "Sampling techniques", 1977, section 2.11).
+Two drivers on the same traffic are compared unit by unit. The ratio is of means; its interval holds every r for which
+the mean of score - r * reference may be 0 (Fieller, "Some problems in interval estimation", JRSS B 16, 1954). So the
+ratio's interval holds 1 just where the difference's holds 0, and where the reference's own mean may be 0 there is none.
 
 Means and not interquartile means (Agarwal et al., "Deep reinforcement learning at the edge of the statistical
 precipice", NeurIPS 2021): episodes here have light tails, on which the latter are less sure by a tenth to a fifth.
@@ -28,7 +29,7 @@ ROUNDING = 1e-12
 
 
 class Estimate(NamedTuple):
-    """A figure with its 95 % interval, which is NaN where a single unit does not tell one."""
+    """A figure with its 95 % interval, which is NaN where the units do not tell one."""
 
     value: float
     low: float
@@ -65,15 +66,29 @@ def difference(scores: ArrayLike, reference: ArrayLike) -> Estimate:
 
 
 def ratio(scores: ArrayLike, reference: ArrayLike) -> Estimate:
-    """Return the mean score over the mean reference, unit by unit, each of shape (n_units,).
+    """Return the mean score over the mean reference, unit by unit, each of shape (n_units,), with Fieller's interval.
 
-    NaN where the reference's mean is 0.
+    NaN where the reference's mean is 0. There is no interval where the reference's mean may be 0, for all that its
+    units tell.
     """
     scores, reference = np.asarray(scores, dtype=np.float64), np.asarray(reference, dtype=np.float64)
     if not len(scores) or not reference.mean():
         return UNKNOWN
-    quotient = float(scores.mean() / reference.mean())
-    return _around(quotient, (scores - quotient * reference) / reference.mean())
+    n, below = len(scores), float(reference.mean())
+    quotient = float(scores.mean()) / below
+    if n == 1:
+        return Estimate(quotient, math.nan, math.nan)
+    # r = quotient + u is within where (u below)² <= own - 2 u shared + u² theirs: t² times the variance of the mean of
+    # score - r * reference.
+    covariance = _quantile(n) ** 2 / n * np.cov(scores - quotient * reference, reference)
+    (own, shared), (_, theirs) = covariance.tolist()
+    surely = below**2 - theirs
+    if surely <= 0.0:
+        return Estimate(quotient, math.nan, math.nan)
+    if own <= (ROUNDING * float(scores.mean())) ** 2:
+        return Estimate(quotient, quotient, quotient)
+    reach = math.sqrt(shared**2 + surely * own)
+    return Estimate(quotient, quotient - (shared + reach) / surely, quotient - (shared - reach) / surely)
 
 
 def share(scores: ArrayLike) -> Estimate:
@@ -110,5 +125,10 @@ def _around(value: float, deviating: Floats) -> Estimate:
     error = deviating.std(ddof=1) / math.sqrt(n)
     if error <= ROUNDING * abs(value):
         return Estimate(value, value, value)
-    reach = float(stats.t.ppf((1 + CONFIDENCE) / 2, n - 1) * error)
+    reach = _quantile(n) * error
     return Estimate(value, value - reach, value + reach)
+
+
+def _quantile(n: int) -> float:
+    """Return how many standard errors the interval of a mean of so many units reaches: Student's t."""
+    return float(stats.t.ppf((1 + CONFIDENCE) / 2, n - 1))
