@@ -295,8 +295,8 @@ def workers(number: WorkerCount, *, fresh: bool = False) -> Iterator[Workers]:
         yield executor
     except BrokenProcessPool:
         raise InputError(
-            "a worker process died: memory ran out, or SUMO crashed on this network or demand; "
-            "--workers 1 drives in one process and tells which"
+            "a worker process died: memory ran out, or SUMO crashed on this network or demand, or a script of yours "
+            "starts workers outside of if __name__ == '__main__'; --workers 1 drives in one process and tells which"
         ) from None
     except BaseException:
         for process in set(multiprocessing.active_children()) - earlier_children:  # another task may take minutes yet

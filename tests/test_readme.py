@@ -90,6 +90,7 @@ def test_the_configuration_shown_is_one_and_changes_what_it_names(tmp_path):
 @pytest.mark.slow
 def test_the_python_shown_runs_in_an_empty_folder(tmp_path):
     (training,) = shown("docs/start.md", "python")
+    (edges,) = shown("docs/share.md", "python")
     (environment,) = shown("README.md", "python")
     (floating_car_data,) = shown("docs/watch.md", "python")
     (tmp_path / "training.py").write_text(shortened(training), encoding="utf-8")
@@ -98,6 +99,10 @@ def test_the_python_shown_runs_in_an_empty_folder(tmp_path):
     assert "(48,)" in run(tmp_path, "-c", environment + "print(observation.shape)\n")
     (command,) = re.findall(r"# rail-sumo (eval .*)", floating_car_data)
     run(tmp_path, "-c", "from rail_sumo import cli; cli.main()", *command.split(), "--episodes", "1")
+    small = "--network onramp --routes onramp --seeds 1 --duration 60 --warm-up 30"
+    share = f"sweep share 0 0.5 --driver road-rail --out share {small}"
+    run(tmp_path, "-c", "from rail_sumo import cli; cli.main()", *share.split())
+    assert {"share", "type", "van", "edge"} <= set(run(tmp_path, "-c", edges).split())
     by_lane = run(tmp_path, "-c", floating_car_data)
     assert {"runs/linear", "rule"} <= set(by_lane.split())
     assert "highway_2" in by_lane  # the lane in the middle, where neither can help driving

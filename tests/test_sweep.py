@@ -68,7 +68,7 @@ class Hears:
         self.said.append(text)
 
 
-TABLES = ("traffic.csv", "summary.csv", "differences.csv", "sweep.md")
+TABLES = ("traffic.csv", "summary.csv", "differences.csv", "edges.parquet", "sweep.md")
 
 
 def test_one_and_two_workers_write_the_same_and_what_is_missing_is_driven_again(world, tmp_path):
@@ -78,17 +78,17 @@ def test_one_and_two_workers_write_the_same_and_what_is_missing_is_driven_again(
     for name in TABLES:
         assert (once / name).read_bytes() == (twice / name).read_bytes()
     cells = sorted((once / "cells").iterdir())
-    assert len(cells) == 2 * (1 + 2 * 2)
+    assert len(cells) == 2 * 2 * (1 + 2 * 2)  # of each run, the rows and the edges
     kept = {cell: cell.stat().st_mtime_ns for cell in cells}
     cells[0].unlink()
-    cells[1].write_bytes(b"cut off")
+    cells[3].write_bytes(b"cut off")
     for name in TABLES:
         (once / name).unlink()
     small(world, once).drive()
     for name in TABLES:
         assert (once / name).read_bytes() == (twice / name).read_bytes()
     driven = {cell for cell in cells if cell.stat().st_mtime_ns != kept[cell]}
-    assert driven == set(cells[:2])
+    assert driven == set(cells[:4])
 
 
 def test_runs_of_another_world_or_period_are_kept_and_told_of(world, tmp_path):
@@ -149,6 +149,25 @@ def made_up(values):
         for seed, speed in enumerate(speeds)
     ]
     return report.typed(rows, shares.TRAFFIC_COLUMNS)
+
+
+def test_sums_over_edges_and_types_are_those_of_the_whole_road(world, tmp_path):
+    tables = small(world, tmp_path / "out").drive()
+    assert list(tables.edges.columns) == list(shares.EDGE_COLUMNS)
+    assert set(tables.edges["type"]) == {"car", "lorry"}
+    run = ["driver", "share", "seed", "vehicles"]
+    assert not tables.edges.duplicated([*run, "type", "edge"]).any()
+    sums = tables.edges.groupby(run)[list(traffic.SUMS)].sum()
+    of_road = tables.traffic.set_index(run)
+    of_road = of_road[(of_road["vehkm"] > 0) & (of_road.index.get_level_values("vehicles") != "all")]
+    assert len(of_road) == len(sums)
+    of_road = of_road.loc[sums.index]
+    assert sums["vehkm"].to_numpy() == pytest.approx(of_road["vehkm"].to_numpy())
+    assert (3600 * sums["vehkm"] / sums["vehicle_s"]).to_numpy() == pytest.approx(of_road["speed_kmh"].to_numpy())
+    for name in ("time_loss_s", "lane_changes", "hard_brakings", "ttc_below_1_5s", "drac_above_3_4"):
+        per_km = of_road[f"{name}_per_km" if name == "time_loss_s" else f"{name}_per_vehkm"]
+        assert sums[name].to_numpy() == pytest.approx((per_km * of_road["vehkm"]).to_numpy(), abs=1e-4), name
+    assert sums["lane_changes"].sum() > 0
 
 
 def test_differences_are_from_the_same_vehicles_as_they_are_seed_by_seed():

@@ -11,13 +11,13 @@ from rail_sumo import config_file
 from rail_sumo.highway.fleet import Fleet
 from rail_sumo.records import Lane
 from rail_sumo.tables import traffic
-from rail_sumo.tables.traffic import Reports, Run, Wish
+from rail_sumo.tables.traffic import Reports, Run, Vehicle
 
 LIMIT_MPS = 20.0
 LANES = {"a_0": Lane(1000.0, LIMIT_MPS), "a_1": Lane(1000.0, LIMIT_MPS), "b_0": Lane(500.0, LIMIT_MPS)}
 
 
-def written(folder, samples, *, trips="", changes="", collisions="", wishes=None, until_s=10.0, teleported=()):
+def written(folder, samples, *, trips="", changes="", collisions="", vehicles=None, until_s=10.0, teleported=()):
     """Reports as SUMO writes them; samples are (time, vehicle, speed, lane, leader's gap, leader's speed)."""
     columns = ["time", "id", "speed", "lane", "leaderGap", "leaderSpeed"]
     frame = pd.DataFrame(samples, columns=columns).rename(columns={"time": "timestep_time"} | {
@@ -27,8 +27,8 @@ def written(folder, samples, *, trips="", changes="", collisions="", wishes=None
     for name, rows in (("trips", trips), ("changes", changes), ("collisions", collisions)):
         (folder / f"{name}.xml").write_text(f"<all>{rows}</all>")
     names = {name for _, name, *_ in samples}
-    wishes = {name: Wish(1.0, 50.0) for name in names} | (wishes or {})
-    return Reports(Run(folder, 0.0, until_s, wishes, LANES, tuple(teleported)))
+    vehicles = {name: Vehicle("car", 1.0, 50.0) for name in names} | (vehicles or {})
+    return Reports(Run(folder, 0.0, until_s, vehicles, LANES, tuple(teleported)))
 
 
 def drives(name, speeds, lane="a_0", *, gaps=None, leaders=None, from_s=0.0):
@@ -62,8 +62,12 @@ def test_edges_nobody_drove_on_do_not_count_and_neither_does_what_is_outside_the
 
 def test_a_vehicle_loses_time_to_what_it_is_meant_to_drive(tmp_path):
     samples = drives("eager", [20.0] * 20) + drives("calm", [10.0] * 20) + drives("lorry", [20.0] * 20)
-    wishes = {"eager": Wish(1.2, 50.0), "calm": Wish(0.5, 50.0), "lorry": Wish(1.5, 25.0)}
-    told = of(written(tmp_path, samples, wishes=wishes), "calm")
+    vehicles = {
+        "eager": Vehicle("car", 1.2, 50.0),
+        "calm": Vehicle("car", 0.5, 50.0),
+        "lorry": Vehicle("lorry", 1.5, 25.0),
+    }
+    told = of(written(tmp_path, samples, vehicles=vehicles), "calm")
     assert told["driven"]["time_loss_s_per_km"] == 0.0
     lost_s = 10 * (1 - 20 / 24) + 10 * (1 - 20 / 25)
     assert told["others"]["time_loss_s_per_km"] == pytest.approx(lost_s / 0.4)
@@ -143,14 +147,34 @@ def test_contacts_lane_changes_and_teleports_belong_to_who_takes_part(tmp_path):
     assert told["others"]["lane_changes_per_vehkm"] == 0.0
 
 
+def test_an_edge_has_what_happened_on_it_by_type_and_by_whether_driven(tmp_path):
+    one = drives("one", [20.0, 18.2, 18.2], "a_1") + drives("one", [18.2] * 2, "b_0", from_s=1.5)
+    two = drives("two", [10.0] * 4, "a_0", gaps=[5.0] * 4, leaders=[5.0] * 4)
+    reports = written(
+        tmp_path,
+        one + two + drives("three", [20.0] * 2),
+        vehicles={"two": Vehicle("lorry", 1.0, 20.0)},
+        changes='<change id="one" time="1" from="a_0"/><change id="one" time="99" from="a_0"/>',
+    )
+    told = reports.edges({"one"}).set_index(["vehicles", "type", "edge"])
+    assert list(told.columns) == list(traffic.SUMS)
+    loss_s = 0.5 * (0 + 0.09 + 0.09)
+    assert told.loc[("driven", "car", "a")].tolist() == pytest.approx([1.5, 0.0282, loss_s, 1, 1, 0, 0])
+    assert told.loc[("driven", "car", "b")].tolist() == pytest.approx([1.0, 0.0182, 0.09, 0, 0, 0, 0])
+    assert told.loc[("others", "lorry", "a")].tolist() == pytest.approx([2.0, 0.02, 1.0, 0, 0, 1, 0])
+    assert told.loc[("others", "car", "a")].tolist() == pytest.approx([1.0, 0.02, 0, 0, 0, 0, 0])
+    assert len(told) == 4
+
+
 @pytest.mark.parametrize("network", ["highway3", "onramp"])
 def test_flow_density_time_loss_and_counts_are_those_of_sumos_own_outputs(tmp_path, network):
     edges = tmp_path / "edges.xml"
     world = config_file.validate({"network": {"file": network}, "traffic": {"routes": [network]}})
     driven = Fleet(world, 0.0, UNSEEN, "nothing", (*traffic.options(tmp_path), "--edgedata-output", str(edges)))
     driven.drive(240.0)
-    wishes = {name: Wish(car.speed_factor, car.fastest_mps) for name, car in driven.inserted.items()}
-    ours = of(Reports(Run(tmp_path, 0.0, 240.0, wishes, driven.lanes)))["all"]
+    vehicles = {name: Vehicle(car.kind, car.speed_factor, car.fastest_mps) for name, car in driven.inserted.items()}
+    reports = Reports(Run(tmp_path, 0.0, 240.0, vehicles, driven.lanes))
+    ours = of(reports)["all"]
     theirs = [edge.attrib for edge in ElementTree.parse(edges).getroot().iter("edge")]
     driven_s = sum(float(edge["sampledSeconds"]) for edge in theirs)
     driven_m = sum(float(edge["sampledSeconds"]) * float(edge["speed"]) for edge in theirs if "speed" in edge)
@@ -165,3 +189,11 @@ def test_flow_density_time_loss_and_counts_are_those_of_sumos_own_outputs(tmp_pa
     assert ours["lane_changes_per_vehkm"] * ours["vehkm"] == pytest.approx(len(from_edges))
     assert sum(not lane.startswith(":") for lane in from_edges) == changes
     assert (ours["arrived"], ours["inserted"]) == (arrived, inserted)
+    by_edge = reports.edges(set()).groupby("edge").sum(numeric_only=True)
+    for edge in theirs:
+        sampled_s = float(edge["sampledSeconds"])
+        if sampled_s > 100.0:
+            own = by_edge.loc[edge["id"]]
+            assert own["vehicle_s"] == pytest.approx(sampled_s, rel=0.03)
+            assert own["time_loss_s"] == pytest.approx(float(edge["timeLoss"]), rel=0.05, abs=0.005 * sampled_s)
+            assert own["lane_changes"] == int(edge["laneChangedFrom"])

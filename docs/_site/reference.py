@@ -40,6 +40,10 @@ TABLES: dict[str, tuple[str, Columns]] = {
         "`rail-sumo sweep`: a row per driver, setting, share, kind of vehicles and measure",
         shares.DIFFERENCE_COLUMNS,
     ),
+    "edges": (
+        "`rail-sumo sweep`: a row per driver, setting, share, seed, kind and type of vehicles, edge, as Parquet alone",
+        shares.EDGE_COLUMNS,
+    ),
     "cells": ("`rail-sumo reproduce`: a row per system, mode, training and episode", CELL_COLUMNS),
     "table1.csv": ("`rail-sumo reproduce table1`: a row per system, mode and metric", TABLE_COLUMNS),
 }
@@ -53,6 +57,7 @@ DEFINED_IN = {
     "traffic": "../measures.md#the-whole-road-the-traffic-table",
     "summary of a sweep": "../measures.md#means-and-differences-of-a-sweep",
     "differences": "../measures.md#means-and-differences-of-a-sweep",
+    "edges": "../measures.md#edge-by-edge-the-edges-table",
     "cells": "../reproduce.md#the-cells",
     "table1.csv": "../reproduce.md#table-1",
 }

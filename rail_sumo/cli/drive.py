@@ -57,7 +57,11 @@ def evaluate(
     ] = 0,
     reference: Annotated[
         str | None,
-        typer.Option(metavar="POLICY", help="The policy that ratios refer to.", show_default="expert, or the last"),
+        typer.Option(
+            metavar="POLICY",
+            help="The policy that ratios refer to.",
+            show_default="expert or road-expert, else the last",
+        ),
     ] = None,
 ) -> None:
     """Drive policies through the same held-out traffic and compare them.

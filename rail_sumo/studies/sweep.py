@@ -35,6 +35,7 @@ from rail_sumo.studies import cells
 from rail_sumo.tables import report, traffic, warm_up
 from rail_sumo.tables.shares import (
     AS_THEY_ARE,
+    EDGE_COLUMNS,
     HEADINGS,
     MEASURED,
     TOLD,
@@ -52,6 +53,8 @@ ACC = roster.INSTEAD
 """The driver that is SUMO's own adaptive cruise control."""
 FIGURES = "figures"
 """The folder of its pictures."""
+EDGES = "edges.parquet"
+"""The table of its edges, which has no CSV: it may be long."""
 SECTIONS, PERIOD = ("network", "traffic", "adas", "lidar", "observation"), "episode.decision_period_s"
 """What may be swept over beside the share: numbers of these sections, and this one."""
 FOUND_OVER, FOUND_WITHIN_S = 2.0, 1200.0
@@ -120,8 +123,11 @@ class Sweep:
         for note in _backlog(table):
             notes.append(note)
             self.observer.note(note)
-        tables = Tables(table, summarised(table), compared(table), warm_up_s, tuple(notes))
+        edges = pd.concat([pd.read_parquet(one.edges_file) for one in work], ignore_index=True)
+        tables = Tables(table, summarised(table), compared(table), edges, warm_up_s, tuple(notes))
         report.write(self.out, traffic=table, summary=tables.summary, differences=tables.differences, overwrite=True)
+        with whole_file(self.out / EDGES) as partial:
+            edges.to_parquet(partial, index=False)
         run.describe(self.out, self.config, self.command, **({"notes": notes} if notes else {}))
         with whole_file(self.out / "sweep.md") as partial:
             partial.write_text(markdown(self, tables), encoding="utf-8")
@@ -274,6 +280,8 @@ class Tables(NamedTuple):
     """Means over seeds: `SUMMARY_COLUMNS`."""
     differences: pd.DataFrame
     """From share 0: `DIFFERENCE_COLUMNS`."""
+    edges: pd.DataFrame
+    """Sums for each edge and type of vehicles: `EDGE_COLUMNS`."""
     warm_up_s: float
     """How long the traffic drove before it counted."""
     notes: tuple[str, ...] = ()
@@ -338,16 +346,23 @@ class _Work:
         parts = [quote(one, safe="") for one in (self.driver, self.setting) if one]
         return self.out / "cells" / f"{'-'.join(parts)}-{self.share:g}-seed{self.seed}.parquet"
 
+    @property
+    def edges_file(self) -> Path:
+        """Where its sums for each edge are kept."""
+        return self.file.with_suffix(".edges.parquet")
+
 
 def _finish(work: _Work) -> pd.DataFrame:
-    """Return a run's rows, after driving it unless its file is there already; in a process of its own."""
-    if cells.made_of(work.file) != work.made_of:
-        cells.write(work.file, report.typed(_rows(work), TRAFFIC_COLUMNS), work.made_of)
+    """Return a run's rows, after driving it unless its files are there already; in a process of its own."""
+    if any(cells.made_of(file) != work.made_of for file in (work.file, work.edges_file)):
+        rows, edges = _drive(work)
+        cells.write(work.edges_file, report.typed(edges, EDGE_COLUMNS), work.made_of)
+        cells.write(work.file, report.typed(rows, TRAFFIC_COLUMNS), work.made_of)
     return report.typed(pd.read_parquet(work.file), TRAFFIC_COLUMNS)
 
 
-def _rows(work: _Work) -> pd.DataFrame:
-    """Drive, and return a row for each share and kind of vehicles."""
+def _drive(work: _Work) -> tuple[pd.DataFrame, pd.DataFrame]:
+    """Drive, and return a row for each share and kind of vehicles, and sums for each edge."""
     seed, begin_s = traffic_seed(work.seed, EVALUATION, 0), work.world.traffic.begin_s
     from_s = begin_s + work.warm_up_s
     with tempfile.TemporaryDirectory() as folder:
@@ -362,7 +377,10 @@ def _rows(work: _Work) -> pd.DataFrame:
             reports,
             from_s,
             from_s + work.duration_s,
-            wishes={name: traffic.Wish(car.speed_factor, car.fastest_mps) for name, car in driven.inserted.items()},
+            vehicles={
+                name: traffic.Vehicle(car.kind, car.speed_factor, car.fastest_mps)
+                for name, car in driven.inserted.items()
+            },
             lanes=driven.lanes,
             teleported=tuple(driven.teleported),
         )
@@ -375,10 +393,12 @@ def _rows(work: _Work) -> pd.DataFrame:
     about = {"driver": work.driver, "setting": work.setting, "seed": work.seed, "undriven": len(driven.undriven)}
     kinds = {name: car.kind for name, car in driven.inserted.items()} | told.waiting
     rows: list[dict[str, Any]] = []
+    edges: list[pd.DataFrame] = []
     for share in work.shares:
         of_share = {name for name, kind in kinds.items() if driven.is_of_the_share(name, kind, share)}
         rows += [about | {"share": share} | measures for measures in told.measures(of_share)]
-    return pd.DataFrame(rows)
+        edges.append(told.edges(of_share).assign(**about, share=share))
+    return pd.DataFrame(rows), pd.concat(edges)
 
 
 def _with_emissions(world: Config) -> Config:

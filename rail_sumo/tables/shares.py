@@ -28,6 +28,17 @@ TRAFFIC_COLUMNS = {
 `setting` is the value of the key that is swept over, empty where that is the share; `undriven` is how many cars of the
 share SUMO drove all the way, since their route is too short or closed to a host, from the beginning of the run on.
 """
+EDGE_COLUMNS = {
+    "driver": "string",
+    "setting": "string",
+    "share": "float64",
+    "seed": "int64",
+    "vehicles": "string",
+    "type": "string",
+    "edge": "string",
+    **traffic.SUMS,
+}
+"""Columns of the `edges` table: a row per driver, setting, share, seed, kind and type of vehicles, and edge."""
 MEASURED = tuple(traffic.MEASURES)
 _OF_SEEDS = {
     "driver": "string",

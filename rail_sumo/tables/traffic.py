@@ -1,4 +1,7 @@
-"""What SUMO wrote of a run -> a row: how all its vehicles drove, those of a share of them, and the others."""
+"""What SUMO wrote of a run -> how all its vehicles drove, those of a share of them, and the others.
+
+A row for each of these kinds, and sums for each edge and type of vehicles.
+"""
 
 import xml.etree.ElementTree as ElementTree
 from collections.abc import Callable, Iterator, Mapping, Set
@@ -51,10 +54,22 @@ MEASURES: dict[str, str] = {
 }
 """The measures, in order, with their pandas types. Their definitions are in docs/measures.md."""
 
+SUMS: dict[str, str] = {
+    "vehicle_s": "float64",
+    "vehkm": "float64",
+    "time_loss_s": "float64",
+    "lane_changes": "int64",
+    "hard_brakings": "int64",
+    "ttc_below_1_5s": "int64",
+    "drac_above_3_4": "int64",
+}
+"""What is summed for each edge, in order, with its pandas types."""
 
-class Wish(NamedTuple):
-    """How fast a vehicle is meant to drive: by its speed factor where a limit applies, and at most."""
 
+class Vehicle(NamedTuple):
+    """Of which type a vehicle is, and how fast it is meant to drive: by its factor where a limit applies, at most."""
+
+    kind: str
     speed_factor: float
     fastest_mps: float
 
@@ -69,8 +84,8 @@ class Run:
     """When the period that counts begins, ..."""
     until_s: float
     """... and when it ends."""
-    wishes: Mapping[str, Wish]
-    """Of every vehicle that was inserted."""
+    vehicles: Mapping[str, Vehicle]
+    """Every vehicle that was inserted, by its id."""
     lanes: Mapping[str, Lane]
     """By their id."""
     teleported: tuple[tuple[float, str], ...] = ()
@@ -99,9 +114,7 @@ class Reports:
         self._run = run
         self._samples = _samples(run)
         self._trips = _trips(run.folder / "trips.xml")
-        self._changed = [
-            (float(one.get("time", "")), one.get("id", "")) for one in _elements(run.folder / "changes.xml", "change")
-        ]
+        self._changes = _changes(run)
         self._collided = [
             (float(one.get("time", "")), {one.get("collider", ""), one.get("victim", "")})
             for one in _elements(run.folder / "collisions.xml", "collision")
@@ -128,6 +141,29 @@ class Reports:
             trips_of_kind = trips if kind == ALL else trips[trips["id"].isin(driven) == (kind == DRIVEN)]
             belongs = {ALL: lambda name: True, DRIVEN: driven.__contains__, OTHERS: lambda name: name not in driven}
             yield {"vehicles": kind} | self._of(of_kind, trips_of_kind, belongs[kind])
+
+    def edges(self, driven: Set[str]) -> pd.DataFrame:
+        """Return `SUMS` by `vehicles` (those named or others), `type` and `edge`, of the edges that such drove on."""
+        counts = {"hard_brakings": "brakes_hard", "ttc_below_1_5s": "ttc_short", "drac_above_3_4": "drac_high"}
+        samples = self._samples.assign(
+            vehicle_s=SAMPLED_S,
+            vehkm=SAMPLED_S / 1000 * self._samples["speed"],
+            time_loss_s=_time_loss_s(self._samples),
+            **{name: self._samples[begins].astype("int64") for name, begins in counts.items()},
+        )
+        sums = self._summed(samples, driven, [name for name in SUMS if name != "lane_changes"])
+        changes = self._summed(self._changes.assign(lane_changes=1), driven, ["lane_changes"])
+        return sums.join(changes, how="outer").fillna(0).astype(SUMS)[list(SUMS)].reset_index()
+
+    def _summed(self, rows: pd.DataFrame, driven: Set[str], columns: list[str]) -> pd.DataFrame:
+        """Return sums over rows with the `id` of a vehicle and the `lane` that it is on."""
+        kinds = {name: vehicle.kind for name, vehicle in self._run.vehicles.items()}
+        keys = {
+            "vehicles": np.where(rows["id"].isin(driven), DRIVEN, OTHERS),
+            "type": rows["id"].map(kinds),
+            "edge": rows["lane"].str.rpartition("_")[0] if len(rows) else rows["lane"],
+        }
+        return rows.assign(**keys).groupby(list(keys))[columns].sum()
 
     def _of(self, samples: pd.DataFrame, trips: pd.DataFrame, belongs: Callable[[str], bool]) -> dict[str, Any]:
         run = self._run
@@ -158,9 +194,9 @@ class Reports:
             "density_vehpkm_lane": 1000 * driven_s / (lanes_m * period_s) if lanes_m else np.nan,
             "speed_kmh": KMH * driven_m / driven_s if driven_s else np.nan,
             "speed_std_kmh": KMH * _std_within(samples),
-            "time_loss_s_per_km": per_vehkm(SAMPLED_S * float((1 - samples["speed"] / samples["wish"]).clip(0).sum())),
+            "time_loss_s_per_km": per_vehkm(float(_time_loss_s(samples).sum())),
             "depart_delay_s": delays.mean() if len(delays) else np.nan,
-            "lane_changes_per_vehkm": per_vehkm(sum(map(belongs, within(self._changed)))),
+            "lane_changes_per_vehkm": per_vehkm(sum(map(belongs, self._changes["id"]))),
             "hard_brakings_per_vehkm": per_vehkm(int(samples["brakes_hard"].sum())),
             "ttc_below_1_5s_per_vehkm": per_vehkm(int(samples["ttc_short"].sum())),
             "drac_above_3_4_per_vehkm": per_vehkm(int(samples["drac_high"].sum())),
@@ -198,7 +234,7 @@ def _samples(run: Run) -> pd.DataFrame:
     read = read[(read["time"] >= run.from_s) & (read["time"] < run.until_s) & read["id"].notna()]
     read = read.sort_values(["id", "time"], kind="stable", ignore_index=True)
     limits = read["lane"].map({name: lane.limit_mps for name, lane in run.lanes.items()}).to_numpy(np.float64)
-    factors, fastest = (read["id"].map({k: wish[n] for k, wish in run.wishes.items()}) for n in (0, 1))
+    factors, fastest = (read["id"].map({name: one[n] for name, one in run.vehicles.items()}) for n in (1, 2))
     read["wish"] = np.minimum(limits * factors.to_numpy(np.float64), fastest.to_numpy(np.float64))
     speed, gap = read["speed"].to_numpy(), read["leaderGap"].to_numpy()
     closing = speed - read["leaderSpeed"].to_numpy()
@@ -212,6 +248,21 @@ def _samples(run: Run) -> pd.DataFrame:
     read["ttc_short"] = _begins(ttc < TTC_S, is_next)
     read["drac_high"] = _begins(drac > DRAC_MPS2, is_next)
     return read
+
+
+def _time_loss_s(samples: pd.DataFrame) -> pd.Series:
+    """Return how much later than by its wish a vehicle got on in each sample, in s."""
+    return SAMPLED_S * (1 - samples["speed"] / samples["wish"]).clip(0)
+
+
+def _changes(run: Run) -> pd.DataFrame:
+    """Return who changed lanes in the period, and from which."""
+    found = [
+        (one.get("id"), one.get("from"))
+        for one in _elements(run.folder / "changes.xml", "change")
+        if run.from_s <= float(one.get("time", "")) < run.until_s
+    ]
+    return pd.DataFrame(found, columns=["id", "lane"], dtype="str")
 
 
 def _begins(holds: np.ndarray, is_next: np.ndarray) -> np.ndarray:
