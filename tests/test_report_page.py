@@ -12,7 +12,7 @@ from rail_sumo import assets, config_file, roster, run
 from rail_sumo.errors import InputError
 from rail_sumo.pictures import plot_episodes, report_page
 from rail_sumo.tables import report
-from rail_sumo.tables.shares import HEADINGS
+from rail_sumo.tables.shares import HEADINGS, rates
 
 BRIEF = ["episode.duration_s=10.0", "traffic.vehicles=30"]
 
@@ -55,7 +55,7 @@ def test_the_page_holds_every_mean_interval_and_ratio_of_the_summary(evaluation,
         assert float(other[0]) == by_policy.loc["<b>&random", "mean"]
         low, high = by_policy.loc["expert", ["low", "high"]]
         assert (f"{low:.4g} to {high:.4g}" in mean[1]) == (low < high)
-        assert ("± 0, all equal" in mean[1]) == (low == high)
+        assert ("± 0, the same in all" in mean[1]) == (low == high)
         if np.isfinite(by_policy.loc["<b>&random", "ratio"]):
             assert float(ratio[0]) == by_policy.loc["<b>&random", "ratio"]
     assert html.escape("rail-sumo eval expert '<b>&random'") in page
@@ -71,7 +71,7 @@ def test_an_interval_without_width_is_told_as_such_and_a_narrow_one_has_two_ends
     report_page.write([tmp_path / "mine"], tmp_path / "page.html")
     page = (tmp_path / "page.html").read_text()
     told = {row[0][0]: row[1] for row in rows_of(page, "Evaluation")}
-    assert told["overtakes"] == ("211.0", "211<small>± 0, all equal</small>")
+    assert told["overtakes"] == ("211.0", "211<small>± 0, the same in all</small>")
     assert told["distance_m"][1] == "8200<small>8200.12 to 8200.13</small>"  # 8200.126 ± 0.002
     assert not re.search(r"<small>(\S+) to \1</small>", page)
 
@@ -179,6 +179,32 @@ def test_a_map_shows_every_lane_change_of_every_policy_where_it_began():
         _, left, right = axes.lines
         assert left.get_xdata() == pytest.approx(500.0 * np.cos(TURN)[1::2])
         assert right.get_ydata() == pytest.approx(500.0 * np.sin(TURN)[::2])
+
+
+def test_a_sweep_tells_by_type_and_where_vehicles_brake_hard(tmp_path):
+    def row(driver, share, vehicles, kind, edge, vehkm, braked):
+        about = {"driver": driver, "setting": "", "share": share, "seed": 0, "vehicles": vehicles, "type": kind}
+        sums = {"vehicle_s": 40.0 * vehkm, "vehkm": vehkm, "time_loss_s": 3.0 * vehkm, "lane_changes": 0}
+        return about | {"edge": edge} | sums | {"hard_brakings": braked, "ttc_below_1_5s": 0, "drac_above_3_4": 0}
+
+    edges = pd.DataFrame([
+        row("sumo", 0.0, "others", "car", "ramp", 2.0, 1),
+        row("sumo", 0.0, "others", "van", "ramp", 2.0, 2),
+        row("sumo", 0.5, "driven", "car", "ramp", 2.0, 1),  # the same vehicles once more
+        row("rule", 0.5, "driven", "car", "ramp", 1.0, 0),
+        row("rule", 0.5, "others", "car", "ramp", 1.0, 1),
+        row("rule", 0.5, "others", "car", "calm", 1.0, 0),
+    ])  # fmt: skip
+    told = rates(edges, ["driver", "share", "type"]).set_index(["driver", "share", "type"])
+    assert told["vehkm"].to_dict() == {("sumo", 0.0, "car"): 2.0, ("sumo", 0.0, "van"): 2.0, ("rule", 0.5, "car"): 3.0}
+    assert told["speed_kmh"].tolist() == [90.0] * 3
+    assert told["time_loss_s_per_km"].tolist() == [3.0] * 3
+    assert told["hard_brakings_per_vehkm"].tolist() == pytest.approx([0.5, 1.0, 1 / 3])
+    by_type, by_edge = report_page._edges(edges)
+    assert by_type.count("<tr>") == 1 + 3
+    assert re.findall(r'scope="col" class="\w+">(.*?)<', by_edge) == ["edge", "sumo 0%", "rule 50%"]
+    assert re.findall(r'data-value="(.*?)"', by_edge) == ["0.75", "0.5"]  # on the ramp alone
+    assert len(list(report_page._edges(edges.assign(hard_brakings=0)))) == 1
 
 
 def test_a_sweep_and_a_study_show_their_tables_and_figures(tmp_path):

@@ -21,7 +21,7 @@ from rail_sumo.pictures import plot, plot_episodes
 from rail_sumo.records import MetaAction
 from rail_sumo.run_directory import CLONE, CONFIG, PROGRESS
 from rail_sumo.tables.report import CONTACTS, DECISIONS, EPISODES, ORIGIN, SUMMARY, WORLD
-from rail_sumo.tables.shares import HEADINGS, TOLD
+from rail_sumo.tables.shares import EDGES, HEADINGS, TOLD, rates
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -33,6 +33,8 @@ TABLE1, SWEEP = "table1.csv", "sweep.md"
 KINDS = {CONFIG: "run", EPISODES: "evaluation", CELLS: "study", TRAFFIC: "sweep"}
 """What a folder is, by the first of these files that it has."""
 
+MOST_EDGES = 10
+"""So many edges are shown of a sweep."""
 WORDS = '<td class="words">'
 """How a cell begins that holds no number."""
 ACTIONS = [action.name.lower() for action in MetaAction]
@@ -225,6 +227,25 @@ def _sweep(folder: Path) -> Iterator[str]:
     caption = "Differences from the same runs without driven cars, of all vehicles, with 95 % intervals."
     yield "<details><summary>All differences</summary>" + _table(of_all, caption) + "</details>"
     yield "<details><summary>Means of every arm</summary>" + _table(_read(folder / SUMMARY)) + "</details>"
+    if (folder / EDGES).is_file():
+        yield from _edges(_read(folder / EDGES))
+
+
+def _edges(edges: pd.DataFrame) -> Iterator[str]:
+    """Yield how a sweep's types of vehicles drove, and where there were most hard brakings."""
+    arm = ["driver", "setting", "share"]
+    caption = "All vehicles of a type, all seeds together. Share 0 is as they are."
+    yield "<details><summary>By type</summary>" + _table(rates(edges, [*arm, "type"]), caption) + "</details>"
+    most = edges.groupby("edge")["hard_brakings"].sum().nlargest(MOST_EDGES)
+    most = most[most > 0]
+    if len(most):
+        by_edge = rates(edges[edges["edge"].isin(most.index)], ["edge", *arm])
+        arms = zip(*(by_edge[name] for name in arm), strict=True)
+        by_edge["arm"] = [" ".join(filter(None, (who, setting, f"{share:.0%}"))) for who, setting, share in arms]
+        shown = by_edge.pivot(index="edge", columns="arm", values="hard_brakings_per_vehkm")
+        shown = shown.loc[most.index, by_edge["arm"].drop_duplicates()].reset_index()
+        caption = f"Hard brakings a vehicle kilometre, on the {len(most)} edges with most of them; all seeds together."
+        yield "<details><summary>Where vehicles brake hard</summary>" + _table(shown, caption) + "</details>"
 
 
 def _of_markdown(text: str) -> tuple[pd.DataFrame, str]:
@@ -305,7 +326,7 @@ def _within(low: float, high: float) -> str:
     if math.isnan(low):
         return ""
     if low == high:
-        return "<small>± 0, all equal</small>"
+        return "<small>± 0, the same in all</small>"
     digits = next(n for n in range(4, 18) if f"{low:.{n}g}" != f"{high:.{n}g}")
     return f"<small>{low:.{digits}g} to {high:.{digits}g}</small>"
 

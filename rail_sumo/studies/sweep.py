@@ -36,6 +36,7 @@ from rail_sumo.tables import report, traffic, warm_up
 from rail_sumo.tables.shares import (
     AS_THEY_ARE,
     EDGE_COLUMNS,
+    EDGES,
     HEADINGS,
     MEASURED,
     TOLD,
@@ -53,8 +54,6 @@ ACC = roster.INSTEAD
 """The driver that is SUMO's own adaptive cruise control."""
 FIGURES = "figures"
 """The folder of its pictures."""
-EDGES = "edges.parquet"
-"""The table of its edges, which has no CSV: it may be long."""
 SECTIONS, PERIOD = ("network", "traffic", "adas", "lidar", "observation"), "episode.decision_period_s"
 """What may be swept over beside the share: numbers of these sections, and this one."""
 FOUND_OVER, FOUND_WITHIN_S = 2.0, 1200.0

@@ -39,6 +39,8 @@ EDGE_COLUMNS = {
     **traffic.SUMS,
 }
 """Columns of the `edges` table: a row per driver, setting, share, seed, kind and type of vehicles, and edge."""
+EDGES = "edges.parquet"
+"""The file of that table, which has no CSV: it may be long."""
 MEASURED = tuple(traffic.MEASURES)
 _OF_SEEDS = {
     "driver": "string",
@@ -110,6 +112,26 @@ def compared(table: pd.DataFrame) -> pd.DataFrame:
                 | {"relative_low": ratio.low - 1, "relative_high": ratio.high - 1}
             )
     return report.typed(rows, DIFFERENCE_COLUMNS)
+
+
+def rates(edges: pd.DataFrame, by: list[str]) -> pd.DataFrame:
+    """Return what the sums of the `edges` table come to, of all vehicles on all seeds, for each group of rows.
+
+    Mean speed, and the others a vehicle kilometre. Of the runs without driven cars share 0 is told alone.
+
+    Args:
+        edges: `EDGE_COLUMNS`.
+        by: its columns that make a group.
+    """
+    told = edges[(edges["driver"] != AS_THEY_ARE) | (edges["share"] == 0.0)]
+    sums = told.groupby(by, sort=False)[list(traffic.SUMS)].sum()
+    counted = [name for name in traffic.SUMS if name not in ("vehicle_s", "vehkm", "time_loss_s")]
+    return pd.DataFrame({
+        "vehkm": sums["vehkm"],
+        "speed_kmh": 3600 * sums["vehkm"] / sums["vehicle_s"],
+        "time_loss_s_per_km": sums["time_loss_s"] / sums["vehkm"],
+        **{f"{name}_per_vehkm": sums[name] / sums["vehkm"] for name in counted},
+    }).reset_index()  # fmt: skip
 
 
 HEADINGS = {
