@@ -233,15 +233,22 @@ def _sweep(folder: Path) -> Iterator[str]:
 
 def _edges(edges: pd.DataFrame) -> Iterator[str]:
     """Yield how a sweep's types of vehicles drove, and where there were most hard brakings."""
-    arm = ["driver", "setting", "share"]
-    caption = "All vehicles of a type, all seeds together. Share 0 is as they are."
-    yield "<details><summary>By type</summary>" + _table(rates(edges, [*arm, "type"]), caption) + "</details>"
+    about = edges[["driver", "setting", "share"]].itertuples(index=False)
+    edges = edges.assign(
+        arm=[
+            " ".join(filter(None, (driver, setting, f"{share:.0%}"))) if share else f"as they are {setting}".strip()
+            for driver, setting, share in about
+        ]
+    )
+    short = {measure: told.heading for measure, told in TOLD.items()}
+    short |= {"vehkm": "veh km", "drac_above_3_4_per_vehkm": "DRAC > 3.4 m/s², per veh km"}
+    caption = "All vehicles of a type, all seeds together."
+    by_type = _table(rates(edges, ["arm", "type"]).rename(columns=short), caption)
+    yield f"<details><summary>By type</summary>{by_type}</details>"
     most = edges.groupby("edge")["hard_brakings"].sum().nlargest(MOST_EDGES)
     most = most[most > 0]
     if len(most):
-        by_edge = rates(edges[edges["edge"].isin(most.index)], ["edge", *arm])
-        arms = zip(*(by_edge[name] for name in arm), strict=True)
-        by_edge["arm"] = [" ".join(filter(None, (who, setting, f"{share:.0%}"))) for who, setting, share in arms]
+        by_edge = rates(edges[edges["edge"].isin(most.index)], ["edge", "arm"])
         shown = by_edge.pivot(index="edge", columns="arm", values="hard_brakings_per_vehkm")
         shown = shown.loc[most.index, by_edge["arm"].drop_duplicates()].reset_index()
         caption = f"Hard brakings a vehicle kilometre, on the {len(most)} edges with most of them; all seeds together."
