@@ -6,6 +6,7 @@ A row for each of these kinds, and sums for each edge and type of vehicles.
 import xml.etree.ElementTree as ElementTree
 from collections.abc import Callable, Iterator, Mapping, Set
 from dataclasses import dataclass
+from functools import cached_property
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -144,6 +145,12 @@ class Reports:
 
     def edges(self, driven: Set[str]) -> pd.DataFrame:
         """Return `SUMS` by `vehicles` (those named or others), `type` and `edge`, of the edges that such drove on."""
+        sums = self._sums.assign(vehicles=np.where(self._sums["id"].isin(driven), DRIVEN, OTHERS))
+        return sums.groupby(["vehicles", "type", "edge"])[list(SUMS)].sum().reset_index()
+
+    @cached_property
+    def _sums(self) -> pd.DataFrame:
+        """`SUMS` by the vehicles' `id`, with their `type`, and `edge`."""
         counts = {"hard_brakings": "brakes_hard", "ttc_below_1_5s": "ttc_short", "drac_above_3_4": "drac_high"}
         samples = self._samples.assign(
             vehicle_s=SAMPLED_S,
@@ -151,19 +158,12 @@ class Reports:
             time_loss_s=_time_loss_s(self._samples),
             **{name: self._samples[begins].astype("int64") for name, begins in counts.items()},
         )
-        sums = self._summed(samples, driven, [name for name in SUMS if name != "lane_changes"])
-        changes = self._summed(self._changes.assign(lane_changes=1), driven, ["lane_changes"])
-        return sums.join(changes, how="outer").fillna(0).astype(SUMS)[list(SUMS)].reset_index()
-
-    def _summed(self, rows: pd.DataFrame, driven: Set[str], columns: list[str]) -> pd.DataFrame:
-        """Return sums over rows with the `id` of a vehicle and the `lane` that it is on."""
+        of_lanes = samples.groupby(["id", "lane"])[[name for name in SUMS if name != "lane_changes"]].sum()
+        changes = self._changes.assign(lane_changes=1).groupby(["id", "lane"])["lane_changes"].sum()
+        sums = of_lanes.join(changes, how="outer").fillna(0).astype(SUMS).reset_index()
         kinds = {name: vehicle.kind for name, vehicle in self._run.vehicles.items()}
-        keys = {
-            "vehicles": np.where(rows["id"].isin(driven), DRIVEN, OTHERS),
-            "type": rows["id"].map(kinds),
-            "edge": rows["lane"].str.rpartition("_")[0] if len(rows) else rows["lane"],
-        }
-        return rows.assign(**keys).groupby(list(keys))[columns].sum()
+        edges = [lane.rpartition("_")[0] for lane in sums["lane"]]
+        return sums.assign(type=sums["id"].map(kinds), edge=pd.Series(edges, dtype="str"))
 
     def _of(self, samples: pd.DataFrame, trips: pd.DataFrame, belongs: Callable[[str], bool]) -> dict[str, Any]:
         run = self._run
