@@ -2,6 +2,7 @@
 
 import multiprocessing
 import os
+import pickle
 import signal
 import threading
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
@@ -241,10 +242,23 @@ def _drive_all(
         raise InputError(f"workers must be 1 or more, or ray; got {number}")
     observer.start(work, len(tasks))
     number = number if number == "ray" else max(1, min(number, len(tasks)))
+    if number != 1:
+        _require_picklable({id(task.driver): task.driver for task in tasks}.values())
     with workers(number, fresh=any(task.outputs for task in tasks)) as pool:
         for driven in pool.map(how, tasks):
             observer.advance({})  # one episode's figures tell little, and nothing of others' episodes
             yield driven
+
+
+def _require_picklable(who: Iterable[Who]) -> None:
+    for one in who:
+        try:
+            pickle.dumps(one)
+        except Exception as error:  # whatever the driver's own code raises too
+            raise InputError(
+                f"driver {type(one).__name__} cannot be sent to worker processes ({error}): define it at the top level "
+                "of a module, without open files and functions in it, or drive with one worker"
+            ) from None
 
 
 class Workers(Protocol):

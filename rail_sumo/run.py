@@ -118,7 +118,7 @@ def evaluate(
         _check_fcd(fcd, workers)
     for warning in demand.warnings(demand.read(world.traffic), world.traffic):
         observer.note(warning)
-    # One episode of everybody's after another: where that is interrupted, each has as many, or one less.
+    # One episode of everybody's after another: where that is interrupted, everybody has driven all but the last.
     labels = [(name, episode) for episode in range(episodes) for name in policies]
     tasks = [
         Task(
@@ -134,6 +134,7 @@ def evaluate(
         for label, driven in zip(labels, attempt_all("eval", tasks, workers, observer), strict=True):
             results.add(*label, driven)
     except KeyboardInterrupt:
+        results.drop_unshared()
         if results.any_driven:
             raise Interrupted(results.tables(), len(labels)) from None
         raise
@@ -169,6 +170,13 @@ class _Results:
             if not drivers.hands_off(self._policies[name]):
                 self._decided.append((name, episode, metrics.decisions(driven)))
         self._rows.append({"policy": name, "episode": episode, **told})
+
+    def drop_unshared(self) -> None:
+        """Leave out the episode that not all have driven, unless there is no other."""
+        whole = len(self._rows) // len(self._policies)
+        if whole:
+            self._rows = [row for row in self._rows if row["episode"] < whole]
+            self._decided = [of_episode for of_episode in self._decided if of_episode[1] < whole]
 
     @property
     def any_driven(self) -> bool:

@@ -58,10 +58,20 @@ def learn(
         started = time.perf_counter() - (checkpoint.progress[-1]["seconds"] if checkpoint.progress else 0.0)
         iterations = learner_of(config).iterate(Practice(run, pool), checkpoint, demonstrations)
         for iteration in itertools.islice(iterations, config.train.n_iterations - checkpoint.iteration):
+            if not isinstance(iteration, Iteration):
+                raise InputError(
+                    f"learner '{config.train.learner}' yields a {type(iteration).__name__}; it has to yield an "
+                    "`Iteration` of rail_sumo.learners"
+                )
             row = _progress(iteration, checkpoint.progress, time.perf_counter() - started)
             checkpoint = Checkpoint(iteration.learned, iteration.memory, (*checkpoint.progress, row))
             run.save(checkpoint)
             observer.advance(row)
+        if checkpoint.iteration < config.train.n_iterations:
+            observer.note(
+                f"learner '{config.train.learner}' ended by itself, after {checkpoint.iteration} of "
+                f"{config.train.n_iterations} iterations"
+            )
     return run
 
 

@@ -357,30 +357,39 @@ def sigterm():
     os.kill(os.getpid(), signal.SIGTERM)
 
 
-@pytest.mark.parametrize("stop", [ctrl_c, sigterm])
-def test_interrupted_evaluation_leaves_the_tables_of_what_is_done(rail_sumo, monkeypatch, tmp_path, stop):
+@pytest.mark.parametrize(
+    ("stop", "n_done", "rows"),
+    [
+        (ctrl_c, 3, [0, 3]),  # one episode of each: neither waits until the other has driven all, ...
+        (sigterm, 4, [0, 1, 3, 4]),
+        (ctrl_c, 1, [0]),  # ... and means are over the same episodes, if there are any that both have driven
+    ],
+)
+def test_interrupted_evaluation_leaves_the_tables_of_what_all_have_done(
+    rail_sumo, monkeypatch, tmp_path, stop, n_done, rows
+):
     drive, driven = rollout.drive, []
 
     def drive_until(task):
         driven.append(task)
-        if len(driven) == 4:
+        if len(driven) == n_done + 1:
             stop()
         return drive(task)
 
     monkeypatch.setattr(rollout, "drive", drive_until)
     arguments = ("eval", "keep", "rule", "--episodes", "3", "--out", "out", *SHORT)
     code, out, err = rail_sumo(*arguments)
-    assert (code, err.splitlines()[-1]) == (130, "rail-sumo: interrupted after 3 of 6 episodes")
+    after = f"after {len(rows)} of 6 episodes"
+    assert (code, err.splitlines()[-1]) == (130, f"rail-sumo: interrupted {after}")
     assert "tables in out" in out
     about = json.loads((tmp_path / "out" / "evaluation.json").read_text())
-    assert about["interrupted"] == "after 3 of 6 episodes"
+    assert about["interrupted"] == after
     kept = pd.read_csv(tmp_path / "out" / "episodes.csv")
     monkeypatch.setattr(rollout, "drive", drive)
     assert rail_sumo(*arguments, "--overwrite")[0] == 0
     whole = pd.read_csv(tmp_path / "out" / "episodes.csv")
-    done = [0, 1, 3]  # two episodes of keep and one of rule: neither waits until the other has driven all
     assert "interrupted" not in json.loads((tmp_path / "out" / "evaluation.json").read_text())
-    pd.testing.assert_frame_equal(kept, whole.iloc[done].reset_index(drop=True))
+    pd.testing.assert_frame_equal(kept, whole.iloc[rows].reset_index(drop=True))
 
 
 def test_networks_are_listed_with_their_length_and_lanes(rail_sumo):

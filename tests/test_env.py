@@ -27,6 +27,7 @@ from driving import (
 )
 from gymnasium.utils.env_checker import check_env
 
+from rail_sumo.config import Config
 from rail_sumo.errors import InputError
 from rail_sumo.highway import env as env_module
 from rail_sumo.highway.env import HighwayEnv
@@ -37,6 +38,7 @@ from rail_sumo.highway.reward import reward, total_reward
 from rail_sumo.highway.simulation import HOST
 from rail_sumo.highway.traffic import MovingWindow
 from rail_sumo.records import KMH, MetaAction
+from rail_sumo.rollout import EVALUATION, traffic_seed
 
 
 def named(env, observation):
@@ -625,6 +627,16 @@ def test_with_hands_off_sumo_changes_lanes_and_its_own_output_agrees(make, outpu
     assert driven.lane_changes == len(of_host) >= 3
     assert (driven.refused_decisions, driven.aborted_lane_changes) == (0, 0)
     assert outputs("collision") == []
+
+
+def test_with_hands_off_a_lane_change_in_the_very_last_step_counts_too(make, outputs):
+    changes = {"episode": {"duration_s": 40.0}, "traffic": {"vehicles": 30}}
+    env = make(Config().changed(**changes), hands_off=True)
+    driven = drive(env, always(KEEP), seed=traffic_seed(9, EVALUATION, 55))
+    env.close()
+    of_host = [entry for entry in outputs("lanechange") if entry.get("id") == HOST]
+    assert float(of_host[-1].get("time")) >= 39.9
+    assert driven.lane_changes == len(of_host)
 
 
 def test_with_hands_off_decisions_do_nothing(make):

@@ -165,6 +165,16 @@ def test_a_task_travels_whole():
     assert same(drive(task), drive(Task(learned(3), MINUTE, 9)))
 
 
+def test_a_driver_that_no_worker_could_be_sent_is_told_before_anybody_drives():
+    class Local(drivers.Rule):
+        pass
+
+    tasks = [Task(Local(MINUTE.adas), MINUTE, seed) for seed in range(2)]
+    with pytest.raises(InputError, match=r"^driver Local cannot be sent to worker processes \(.*\): define it at the"):
+        next(rollout.attempt_all("eval", tasks, 2))
+    assert next(rollout.attempt_all("eval", tasks, 1)).end_reason == "duration"
+
+
 def test_a_serial_map_is_lazy_and_keeps_the_order():
     done = []
     with workers(1) as one:

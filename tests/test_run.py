@@ -798,3 +798,28 @@ def test_in_python_drivers_go_by_their_names_too(small):
         run.evaluate({"mine": "rial"}, small, episodes=1, seed=0)
     with pytest.raises(InputError, match=r"^a driver is a name, a run's policy, or an object with senses and decide"):
         run.evaluate({"mine": 7}, small, episodes=1, seed=0)
+
+
+OWN_LEARNERS = """
+from rail_sumo.learners import Iteration, Learner, memory_of
+
+def gives_up(practice, checkpoint, demonstrations):
+    yield Iteration(checkpoint.learned, {}, practice.drive([checkpoint.learned], 1), {})
+
+def says_something_else(practice, checkpoint, demonstrations):
+    yield {"learned": checkpoint.learned}
+
+GIVES_UP, SAYS_SOMETHING_ELSE = (Learner(one, iterations=2, samples=False) for one in (gives_up, says_something_else))
+"""
+
+
+def test_a_learner_that_gives_up_or_says_something_else_is_told(small, driven, tmp_path, monkeypatch):
+    (tmp_path / "own_learners.py").write_text(OWN_LEARNERS)
+    monkeypatch.syspath_prepend(tmp_path)
+    notes = Notes()
+    world = small.changed(train={"learner": "own_learners:GIVES_UP"})
+    training.learn(world, tmp_path / "one", seed=1, observer=notes)
+    assert notes.told[-1] == "learner 'own_learners:GIVES_UP' ended by itself, after 1 of 3 iterations"
+    other = small.changed(train={"learner": "own_learners:SAYS_SOMETHING_ELSE"})
+    with pytest.raises(InputError, match=r"^learner '.*:SAYS_SOMETHING_ELSE' yields a dict; it has to yield an `Iter"):
+        training.learn(other, tmp_path / "other", seed=1)

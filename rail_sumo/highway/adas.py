@@ -130,7 +130,9 @@ class Adas:
         it has crossed over asks to be let in.
         """
         if host.sumos_lane_changes > self._sumos_lane_changes:
-            self._note_sumos_lane_changes(host.sumos_lane_changes)
+            self.lane_changes = self.lane_changes_by_now(host.sumos_lane_changes)
+            self._sumos_lane_changes = host.sumos_lane_changes
+            self._side = None  # a change under way is over then
         way_on = _way_on(host)
         if way_on is not None and self._side is None and self._open(way_on, host, gaps):
             self._begin(way_on, host)
@@ -143,11 +145,9 @@ class Adas:
         command = Command(limited) if self._side is None else self._sideways(self._side, limited, host, gaps)
         return command if way_on is None or command.cross else command._replace(asks=way_on)
 
-    def _note_sumos_lane_changes(self, number: int) -> None:
-        """Count what SUMO has changed while the host asked to be let in; a change under way is over then."""
-        self.lane_changes += number - self._sumos_lane_changes
-        self._sumos_lane_changes = number
-        self._side = None
+    def lane_changes_by_now(self, sumos: int) -> int:
+        """Return how many were completed, with all that SUMO has changed by now while the host asked to be let in."""
+        return self.lane_changes + sumos - self._sumos_lane_changes
 
     def _steer(self, side: Side, host: HostState, gaps: Callable[[int], Gaps]) -> bool:
         """Begin a lane change or turn the one under way round, and return whether this was done."""
@@ -351,6 +351,10 @@ class HandsOff:
         self._keeps_limits = keeps_limits
         self.changing_lane = False
         self.lane_changes = 0
+
+    def lane_changes_by_now(self, sumos: int) -> int:
+        """Return how many SUMO has changed by now."""
+        return sumos
 
     def set_mps(self, limit_mps: float) -> float:
         """Return NaN: SUMO's driver has no set speed."""

@@ -250,7 +250,7 @@ class Agent:
 
     @property
     def refused_decisions(self) -> int:
-        """How many of its decisions were not carried out."""
+        """How many lane changes it decided for in vain; see `docs/measures.md`."""
         return self.adas.refused_decisions
 
     def _last(self, steps: int) -> tuple[Floats, Floats, Any]:
@@ -303,7 +303,7 @@ class Agent:
             lane_changing=np.array(self._lane_changing, dtype=np.bool_),
             overtakes=self.overtakes,
             overtaken=self.overtaken,
-            lane_changes=adas.lane_changes,
+            lane_changes=adas.lane_changes_by_now(host.sumos_lane_changes),
             aborted_lane_changes=adas.aborted_lane_changes,
             refused_decisions=adas.refused_decisions,
             collisions=host.collisions,
