@@ -113,8 +113,10 @@ def test_a_system_is_compared_with_the_expert_on_its_own_seeds_for_each_number_o
             ]
         )
     ).set_index("shown")
-    # Means of 63.05 and 64.05 beside 60.05 and 61.05: the ratio is 1.0496, either is 0.0004 off it, and t is 12.7.
-    assert found.loc[40, "speed_kmh"] == "1.050 (1.044 to 1.055)"
+    # Means of 63.05 and 64.05 beside 60.05 and 61.05. The ratio is 1.0496. Its ends are where 63.55 - 60.55 r is 12.7
+    # times half of 1 - r off 0.
+    ends = [(63.55 - 6.353 * sign) / (60.55 - 6.353 * sign) for sign in (-1, 1)]
+    assert found.loc[40, "speed_kmh"] == f"1.050 ({ends[0]:.3f} to {ends[1]:.3f})" == "1.050 (1.045 to 1.055)"
     assert found.loc[5, "speed_kmh"].startswith("0.800")  # 48.05 of 60.05; the other seed's 61.05 would make it 0.794
     assert found.loc[40, "told apart"].startswith("0.55 ")
     assert found["seeds"].to_dict() == {40: 2, 5: 1}

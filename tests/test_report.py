@@ -77,10 +77,11 @@ def test_differences_are_of_the_same_episode_by_hand():
     # Differences 1, 3 and 5: standard error 2 / sqrt(3); 4.3027 is the 97.5 % point with two degrees of freedom.
     half = 4.3027 * 2 / np.sqrt(3)
     assert speed[DIFFERENCE].tolist() == pytest.approx([3.0, 3 - half, 3 + half], abs=1e-3)
-    # The means' ratio is 199 / 190; what deviates from it, over the mean of 190 / 3.
-    deviations = np.array([61 - 60 * 199 / 190, 73 - 70 * 199 / 190, 65 - 60 * 199 / 190]) / (190 / 3)
-    half = 4.3027 * np.sqrt((deviations**2).sum() / 2 / 3)
-    assert speed[RATIO].tolist() == pytest.approx([199 / 190, 199 / 190 - half, 199 / 190 + half], abs=1e-5)
+    # The means' ratio is 199 / 190. At the ends of its interval what remains is 4.3027 standard errors from 0.
+    assert speed["ratio"] == pytest.approx(199 / 190, abs=1e-6)
+    for end in speed[["ratio_low", "ratio_high"]]:
+        remains = np.array([61 - 60 * end, 73 - 70 * end, 65 - 60 * end])
+        assert abs(remains.mean()) == pytest.approx(4.3027 * remains.std(ddof=1) / np.sqrt(3), rel=1e-3)
     assert speed["high"] - speed["low"] > 2 * (speed["difference_high"] - speed["difference_low"])
 
 
