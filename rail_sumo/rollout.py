@@ -23,6 +23,7 @@ from rail_sumo.highway.camera import Camera
 from rail_sumo.highway.env import HighwayEnv
 from rail_sumo.highway.fleet import Fleet, Instead
 from rail_sumo.highway.rides import Decide
+from rail_sumo.highway.simulation import Simulation
 from rail_sumo.policy import PolicyParameters
 from rail_sumo.records import EndReason, Floats, Trajectory
 
@@ -333,16 +334,22 @@ def _ignoring_ctrl_c() -> Iterator[None]:
 
 
 def _begin() -> None:
-    """In a worker: leave Ctrl-C to the parent, and end when the parent ends, so that no orphan goes on working."""
+    """In a worker: leave Ctrl-C to the parent, and end when the parent says so or ends, so that no orphan works on."""
     signal.signal(signal.SIGINT, signal.SIG_IGN)
+    signal.signal(signal.SIGTERM, lambda *_: _end())
     parent = multiprocessing.parent_process()
     assert parent is not None
 
     def follow() -> None:
         parent.join()
-        os._exit(1)
+        _end()
 
     threading.Thread(target=follow, daemon=True).start()
+
+
+def _end() -> None:
+    Simulation.clear_away()
+    os._exit(1)
 
 
 def _ray_pool() -> Any:

@@ -353,6 +353,33 @@ def test_a_car_that_is_led_elsewhere_is_handed_back_and_arrives(tmp_path):
     assert listed["one"].get("arrivalLane") == "off_0"
 
 
+def test_who_is_teleported_beside_several_driven_cars_is_seen_no_more(tmp_path):
+    """Lorries halt on every lane of a short edge, until SUMO takes those behind off the road, and has no room ahead."""
+
+    def vehicle(kind, lane, place, edges, stop="", depart_s=0.0):
+        about = f'depart="{depart_s}" departLane="{lane}" departPos="{place}"><route edges="{edges}"/>{stop}'
+        return f'<vehicle id="{kind}{lane}{place}" type="{kind}" {about}</vehicle>'
+
+    lanes, way = range(3), "part0 part1 part2"
+    halts = [f'<stop lane="part1_{k}" endPos="18" duration="9999"/>' for k in lanes]
+    elements = [
+        *(vehicle("lorry", k, 17, "part1 part2", halts[k]) for k in lanes),
+        *(vehicle("lorry", k, place, way) for k in lanes for place in (560, 520)),
+        # So that there is one that looks at every step.
+        *(vehicle("car", k, 400 - 20 * row, way, depart_s=0.1 * (3 * row + k)) for row in range(3) for k in lanes),
+    ]
+    network, routes = tmp_path / "three.net.xml", tmp_path / "own.rou.xml"
+    network.write_text(cut_road(600.0, 20.0, 600.0))
+    types = '<vType id="lorry" vClass="truck" length="12"/><vType id="car"/>'
+    routes.write_text(f"<routes>{types}{''.join(elements)}</routes>")
+    world = with_demand(network, routes).changed(traffic={"options": ("time-to-teleport=2",)})
+    fleet = Fleet(world, 1.0, SEED, driver("rule", world))
+    fleet.drive(60.0)
+    assert len(fleet.driven) == 9
+    assert len({name for _, name in fleet.teleported}) == 6
+    assert fleet.contacts == 0
+
+
 def test_worlds_that_vary_have_no_share():
     world = config_file.validate({"varied": {"networks": ["highway3"]}, "traffic": {"routes": ["highway3"]}})
     with pytest.raises(InputError, match=r"leave out varied\.networks"):

@@ -99,6 +99,26 @@ def test_what_goes_wrong_ends_our_own_processes_at_once_and_no_others(tmp_path, 
         stranger.join()
 
 
+def test_workers_that_are_ended_leave_nothing_beside_the_users_files(tmp_path):
+    detector = '<e1Detector id="d" lane="highway_0" pos="500" period="5" file="e1.xml"/>'
+    (tmp_path / "d.add.xml").write_text(f"<additional>{detector}</additional>")
+    traffic = {"routes": ("highway3",), "additional": (str(tmp_path / "d.add.xml"),)}
+    world = config.Config().changed(network={"file": "highway3"}, traffic=traffic)
+
+    def drive_until_interrupted():
+        with workers(2) as two:
+            two.map(drive, [Task("keep", world, seed) for seed in range(8)])
+            since = time.monotonic()
+            while len(list(tmp_path.glob("rail_sumo_*"))) < 2:
+                assert time.monotonic() < since + 60.0
+                time.sleep(0.01)
+            raise KeyboardInterrupt
+
+    with pytest.raises(KeyboardInterrupt):
+        drive_until_interrupted()
+    assert [path.name for path in tmp_path.iterdir()] == ["d.add.xml"]
+
+
 def die(_):
     os.abort()
 

@@ -80,7 +80,7 @@ class Sight:
         for name in among:
             try:
                 x, y, z = position(name)
-            except libsumo.TraCIException:  # it has left
+            except (libsumo.TraCIException, ValueError):  # it has left, or is off the road: it has no height then
                 continue
             is_near = -reach_m < x - here_x < reach_m and -reach_m < y - here_y < reach_m
             if is_near and name != ego and abs(z - here_z) < STOREY_M:

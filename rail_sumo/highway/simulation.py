@@ -4,6 +4,7 @@ import os
 from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
 from statistics import fmean
+from typing import ClassVar
 
 import libsumo
 
@@ -80,6 +81,8 @@ class Simulation:
         InputError: SUMO cannot load the network or the demand.
     """
 
+    _latest: "ClassVar[Simulation | None]" = None
+
     def __init__(
         self,
         net_file: Path,
@@ -115,6 +118,7 @@ class Simulation:
             options["route-files"] = ",".join(map(str, demand.routes))
         if demand.files:  # whatever they write is not kept, and must not overwrite what the user has
             options["output-prefix"] = self._prefix
+        Simulation._latest = self
         try:
             sumo_process.start(options, outputs)
         except sumo_process.Refused as error:
@@ -141,9 +145,18 @@ class Simulation:
                 written = asked.with_name(f"{self._prefix}{asked.name}")
                 if written.exists():
                     written.replace(asked)
-            for folder in self._written:
-                for report in folder.glob(f"{self._prefix}*"):
-                    report.unlink(missing_ok=True)
+            self._remove_reports()
+
+    def _remove_reports(self) -> None:
+        for folder in self._written:
+            for report in folder.glob(f"{self._prefix}*"):
+                report.unlink(missing_ok=True)
+
+    @staticmethod
+    def clear_away() -> None:
+        """Remove what the latest simulation of this process has written beside the user's files, since it ends now."""
+        if Simulation._latest is not None:
+            Simulation._latest._remove_reports()
 
     def lay_course(
         self, road: Road, adas: config.Adas, *, sees_m: float, host: str = HOST, shares_type: bool = False
