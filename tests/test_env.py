@@ -639,6 +639,18 @@ def test_with_hands_off_a_lane_change_in_the_very_last_step_counts_too(make, out
     assert driven.lane_changes == len(of_host)
 
 
+@pytest.mark.parametrize("host", ["replaces", "added"])
+def test_with_hands_off_too_the_highest_set_speed_holds_and_who_enters_faster_slows_down_evenly(make, host):
+    """A highest set speed of 50 km/h, where the demand's cars enter at the limit of 80."""
+    slow = {"min_speed_kmh": 30.0, "start_speed_kmh": "limit*3/4", "max_speed_kmh": 50.0}
+    there = world(network={"file": "highway3"}, traffic={"routes": ("highway3",), "host": host}, adas=slow)
+    driven = drive(make(there, hands_off=True), always(KEEP))
+    if host == "replaces":
+        assert driven.speed_mps[0] > 55 / KMH
+    assert driven.speed_mps[150:].max() == pytest.approx(50 / KMH, abs=0.03)
+    assert np.diff(driven.speed_mps).min() >= -0.21  # 2 m/s²
+
+
 def test_with_hands_off_decisions_do_nothing(make):
     kept = drive(make(hands_off=True), always(KEEP))
     decided = drive(make(hands_off=True), at_random(1))

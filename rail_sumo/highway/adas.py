@@ -25,6 +25,8 @@ LEAVE_LANE_M = 300.0
 """How far before its end the host leaves a lane that does not lead on along its course."""
 LANE_END_SHORT_M = 2.5
 """How far before the end of such a lane the host stands. SUMO stands closer to it, and brakes for that harder."""
+ROUNDED = 1.0001
+"""By how much SUMO's own driver may be faster than is allowed: networks tell 80 km/h as 22.2222 m/s."""
 TOUCH_M = 0.01
 """A place nearer than this counts as reached."""
 
@@ -374,6 +376,8 @@ class HandsOff:
         self.lane_changes = host.sumos_lane_changes
         if not self._keeps_limits:
             return Command(SUMO_DECIDES)
-        fastest = max(self._config.highest_mps(host.limit_mps), host.speed_mps)
+        highest = self._config.highest_mps(host.limit_mps)
+        fastest = max(highest, host.speed_mps - self._config.comfort_braking_mps2 * SECONDS_PER_STEP)
         limited = _within_limits(fastest, host, self._config, steps=1)
-        return Command(limited if limited < fastest else SUMO_DECIDES)
+        is_too_fast = host.speed_mps > highest * ROUNDED
+        return Command(limited if limited < fastest or is_too_fast else SUMO_DECIDES)

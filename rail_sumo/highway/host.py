@@ -397,9 +397,14 @@ class Host:
             self._told_mps = speed_mps
 
     def _keep_to_limit(self) -> None:
-        """Have SUMO's own driver keep to the limit of its lane, or be no faster than it is: SUMO would brake hard."""
-        limit_mps = self.limit_mps
-        factor = max(AS_ALLOWED, self.speeds_mps[-1] / limit_mps) if limit_mps > 0.0 else AS_ALLOWED
+        """Have SUMO's own driver keep to the limit of its lane and the highest set speed there.
+
+        Or be no faster than it is, while the assistance layer has it slow down: SUMO would brake hard.
+        """
+        limit_mps, factor = self.limit_mps, AS_ALLOWED
+        if limit_mps > 0.0:
+            allowed = min(AS_ALLOWED, self._adas.highest_mps(limit_mps) / limit_mps * AS_ALLOWED)
+            factor = max(allowed, self.speeds_mps[-1] / limit_mps)
         if factor != self._speed_factor:
             libsumo.vehicle.setSpeedFactor(self.name, factor)
             self._speed_factor = factor
