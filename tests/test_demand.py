@@ -299,6 +299,15 @@ def test_types_may_lie_in_any_file_of_a_demand_and_in_a_distribution(tmp_path):
         demand.require_type(given, "car")
 
 
+def test_a_lorry_that_has_no_class_is_told_to_count_as_a_car(tmp_path):
+    types = '<vType id="truck" length="12"/><vType id="bus" length="12" vClass="bus"/><vType id="van" length="6"/>'
+    given = read([written(tmp_path, f'<routes>{types}<vehicle id="a" type="truck" depart="0"/></routes>')])
+    (told,) = demand.warnings(given, AS_USUAL)
+    assert told.startswith(
+        "vehicle type 'truck' is 12 m long and has no vClass: it counts, and may be driven, as a car"
+    )
+
+
 def test_keys_of_made_traffic_are_told_to_have_no_effect_on_a_demand():
     with_cars = read(["highway3"])
     (told,) = demand.warnings(with_cars, config.Traffic(lorries=0.5, car_following="IDM"))

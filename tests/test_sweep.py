@@ -9,6 +9,7 @@ import numpy as np
 import pandas as pd
 import pytest
 from rich.console import Console
+from sketch import cut_road
 
 from rail_sumo import assets, cli, config_file
 from rail_sumo.errors import InputError
@@ -151,6 +152,40 @@ def made_up(values):
     return report.typed(rows, shares.TRAFFIC_COLUMNS)
 
 
+@pytest.mark.parametrize(("unfinished", "told"), [(100, False), (115, False), (121, True)])
+def test_a_road_that_fills_up_in_the_period_is_told_of_whoever_drives(unfinished, told):
+    """From 100 vehicles on the road at the beginning; as they are it stays at that."""
+    counts = {"vehicles": "all", "setting": "", "inserted": 60}
+    table = pd.DataFrame([
+        counts | {"driver": "sumo", "share": 0.0, "seed": 0, "unfinished": 100, "arrived": 60},
+        counts | {"driver": "rule", "share": 0.5, "seed": 0, "unfinished": unfinished, "arrived": 160 - unfinished},
+    ])  # fmt: skip
+    notes = list(sweep._growth(table))
+    assert bool(notes) == told
+    if told:
+        assert notes[0].startswith(
+            "the road fills up in the period, from 100 to 121 vehicles in the mean over seeds (rule"
+        )
+
+
+def test_flow_is_of_the_same_road_at_every_share_however_far_vehicles_get(tmp_path):
+    """Where all cars are driven, a driver that crawls keeps nearly all of the last edge empty."""
+    network, routes = tmp_path / "two.net.xml", tmp_path / "two.rou.xml"
+    network.write_text(cut_road(800.0, 800.0))
+    routes.write_text(
+        '<routes><vType id="car"/><route id="r" edges="part0 part1"/><flow id="f" type="car" route="r" begin="0" '
+        'end="200" period="4" departLane="random"/></routes>'
+    )
+    world = config_file.validate({"network": {"file": str(network)}, "traffic": {"routes": [str(routes)]}})
+    world = world.changed(adas={"min_speed_kmh": 10.0, "start_speed_kmh": 10.0, "max_speed_kmh": 12.0})
+    swept = small(world, tmp_path / "out", drivers=("keep",), shares=(1.0,), seeds=1, duration_s=60.0)
+    table = swept.drive().traffic
+    of_all = table[table["vehicles"] == "all"].set_index(["driver", "share"])
+    road_km = 3600 / 60.0 * of_all["vehkm"] / of_all["flow_vehph"]
+    assert of_all.loc[("keep", 1.0), "arrived"] == 0
+    assert road_km.to_numpy() == pytest.approx(1.6, abs=0.01)
+
+
 def test_sums_over_edges_and_types_are_those_of_the_whole_road(world, tmp_path):
     tables = small(world, tmp_path / "out").drive()
     assert list(tables.edges.columns) == list(shares.EDGE_COLUMNS)
@@ -261,7 +296,11 @@ def test_what_makes_figures_doubtful_is_kept_beside_them(world, tmp_path, figure
     hears = Hears()
     world = world.changed(traffic={"lorries": 0.5})
     swept = small(world, tmp_path / "out", drivers=("acc",), shares=(1.0,), seeds=1, duration_s=190.0, observer=hears)
-    notes = ("traffic.lorries: of made traffic", "the last vehicle departs at 200 s, before the period ends at ")
+    notes = (
+        "traffic.lorries: of made traffic",
+        "the last vehicle departs at 200 s, before the period ends at ",
+        "the road fills up in the period, from ",
+    )
     tables = swept.drive()
     for told, begins in zip(tables.notes, notes, strict=True):
         assert told.startswith(begins)

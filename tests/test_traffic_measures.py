@@ -17,7 +17,18 @@ LIMIT_MPS = 20.0
 LANES = {"a_0": Lane(1000.0, LIMIT_MPS), "a_1": Lane(1000.0, LIMIT_MPS), "b_0": Lane(500.0, LIMIT_MPS)}
 
 
-def written(folder, samples, *, trips="", changes="", collisions="", vehicles=None, until_s=10.0, teleported=()):
+def written(
+    folder,
+    samples,
+    *,
+    trips="",
+    changes="",
+    collisions="",
+    vehicles=None,
+    until_s=10.0,
+    edges=frozenset("a"),
+    teleported=(),
+):
     """Reports as SUMO writes them; samples are (time, vehicle, speed, lane, leader's gap, leader's speed)."""
     columns = ["time", "id", "speed", "lane", "leaderGap", "leaderSpeed"]
     frame = pd.DataFrame(samples, columns=columns).rename(columns={"time": "timestep_time"} | {
@@ -28,7 +39,7 @@ def written(folder, samples, *, trips="", changes="", collisions="", vehicles=No
         (folder / f"{name}.xml").write_text(f"<all>{rows}</all>")
     names = {name for _, name, *_ in samples}
     vehicles = {name: Vehicle("car", 1.0, 50.0) for name in names} | (vehicles or {})
-    return Reports(Run(folder, 0.0, until_s, vehicles, LANES, tuple(teleported)))
+    return Reports(Run(folder, 0.0, until_s, vehicles, LANES, edges, tuple(teleported)))
 
 
 def drives(name, speeds, lane="a_0", *, gaps=None, leaders=None, from_s=0.0):
@@ -55,9 +66,15 @@ def test_flow_density_and_speed_are_edies(tmp_path):
     assert [told[kind]["n_vehicles"] for kind in ("all", "driven", "others")] == [2, 1, 1]
 
 
-def test_edges_nobody_drove_on_do_not_count_and_neither_does_what_is_outside_the_period(tmp_path):
-    samples = drives("one", [10.0] * 20) + drives("late", [10.0] * 4, "b_0", from_s=10.0)
-    assert of(written(tmp_path, samples))["all"]["flow_vehph"] == pytest.approx(3600 * 100 / (1000 * 10))
+def test_flow_and_density_are_of_the_edges_named_whether_anybody_gets_there_or_not(tmp_path):
+    samples = (
+        drives("one", [10.0] * 20) + drives("aside", [10.0] * 10, ":j_0") + drives("late", [10.0] * 4, from_s=10.0)
+    )
+    for edges, road_m, lanes_m in (("a", 1000, 2000), ("ab", 1500, 2500)):
+        told = of(written(tmp_path, samples, edges=frozenset(edges)))["all"]
+        assert told["flow_vehph"] == pytest.approx(3600 * 100 / (road_m * 10))
+        assert told["density_vehpkm_lane"] == pytest.approx(1000 * 10 / (lanes_m * 10))
+        assert told["vehkm"] == pytest.approx(0.15)  # of everywhere
 
 
 def test_a_vehicle_loses_time_to_what_it_is_meant_to_drive(tmp_path):
@@ -173,7 +190,7 @@ def test_flow_density_time_loss_and_counts_are_those_of_sumos_own_outputs(tmp_pa
     driven = Fleet(world, 0.0, UNSEEN, "nothing", (*traffic.options(tmp_path), "--edgedata-output", str(edges)))
     driven.drive(240.0)
     vehicles = {name: Vehicle(car.kind, car.speed_factor, car.fastest_mps) for name, car in driven.inserted.items()}
-    reports = Reports(Run(tmp_path, 0.0, 240.0, vehicles, driven.lanes))
+    reports = Reports(Run(tmp_path, 0.0, 240.0, vehicles, driven.lanes, driven.edges))
     ours = of(reports)["all"]
     theirs = [edge.attrib for edge in ElementTree.parse(edges).getroot().iter("edge")]
     driven_s = sum(float(edge["sampledSeconds"]) for edge in theirs)

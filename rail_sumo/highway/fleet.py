@@ -83,6 +83,8 @@ class Fleet:
         """How many its drivers have taken."""
         self.inserted: dict[str, Inserted] = {}
         """Everybody who has been put on the road, by id."""
+        self.edges: set[str] = set()
+        """Those that the routes lead over of everybody who was due by the end, though there were no room to enter."""
         self.lanes: dict[str, Lane] = {}
         """By their id, whatever the class that they are open to."""
         self.kinds_of_cars: set[str] = set()
@@ -118,6 +120,7 @@ class Fleet:
                     on_road.append(simulation.n_on_road)
             for ride in everybody.rides.values():
                 self._count(ride)
+            self.edges.update(simulation.edges_awaited())
         return on_road
 
     def _step(self, simulation: Simulation, everybody: Rides) -> None:
@@ -126,6 +129,7 @@ class Fleet:
         self.teleported += [(simulation.now_s, name) for name in simulation.teleporting()]
         for car in simulation.departed():
             self.inserted[car.name] = car
+            self.edges.update(car.edges)
             if car.is_car:
                 self.kinds_of_cars.add(car.kind)
             if self.is_of_the_share(car.name, car.kind):

@@ -443,6 +443,11 @@ class Simulation:
         """How many vehicles are due to depart, and find no room yet."""
         return len(libsumo.simulation.getPendingVehicles())
 
+    def edges_awaited(self) -> Iterator[str]:
+        """Yield the edges of the routes of those who are due to depart, and find no room yet."""
+        for name in libsumo.simulation.getPendingVehicles():
+            yield from libsumo.vehicle.getRoute(name)
+
     @property
     def expects_vehicles(self) -> bool:
         """Whether anybody is on the road or yet to depart."""

@@ -56,6 +56,8 @@ FIGURES = "figures"
 """The folder of its pictures."""
 SECTIONS, PERIOD = ("network", "traffic", "adas", "lidar", "observation"), "episode.decision_period_s"
 """What may be swept over beside the share: numbers of these sections, and this one."""
+GROWN, GROWN_BY = 10.0, 0.2
+"""A road fills up where there are so many vehicles more at the end of the period, and by this share of those before."""
 FOUND_OVER, FOUND_WITHIN_S = 2.0, 1200.0
 """To find the warm-up the traffic is watched for so many times the period that counts, and no less long than this."""
 
@@ -119,7 +121,7 @@ class Sweep:
         table = report.typed(pd.concat(driven, ignore_index=True), TRAFFIC_COLUMNS)
         if not table.loc[table["vehicles"] == traffic.DRIVEN, "n_vehicles"].any():
             raise InputError("no car of the share was on the road in the period; change traffic.begin_s or --duration")
-        for note in _backlog(table):
+        for note in (*_backlog(table), *_growth(table)):
             notes.append(note)
             self.observer.note(note)
         edges = pd.concat([pd.read_parquet(one.edges_file) for one in work], ignore_index=True)
@@ -270,6 +272,24 @@ def _backlog(table: pd.DataFrame) -> Iterator[str]:
         )
 
 
+def _growth(table: pd.DataFrame) -> Iterator[str]:
+    """Tell where more vehicles came than left, so that the figures depend on when the period begins and ends."""
+    on_road = table[table["vehicles"] == traffic.ALL].groupby(["driver", "setting", "share"])[
+        ["unfinished", "inserted", "arrived"]
+    ].mean()  # fmt: skip
+    ends = on_road["unfinished"]
+    begins = ends - on_road["inserted"] + on_road["arrived"]
+    growth = ends - begins
+    if ((growth >= GROWN) & (growth > GROWN_BY * begins)).any():
+        most = growth.idxmax()
+        driver, setting, share = most
+        arm = "as they are" if driver == AS_THEY_ARE else f"{driver}, share {share:g}"
+        yield (
+            f"the road fills up in the period, from {begins[most]:.0f} to {ends[most]:.0f} vehicles in the mean over "
+            f"seeds ({arm}{f', {setting}' if setting else ''}): figures depend on when it begins and ends"
+        )
+
+
 class Tables(NamedTuple):
     """What a sweep came to."""
 
@@ -381,6 +401,7 @@ def _drive(work: _Work) -> tuple[pd.DataFrame, pd.DataFrame]:
                 for name, car in driven.inserted.items()
             },
             lanes=driven.lanes,
+            edges=driven.edges,
             teleported=tuple(driven.teleported),
         )
         told = traffic.Reports(about_run)

@@ -89,6 +89,8 @@ class Run:
     """Every vehicle that was inserted, by its id."""
     lanes: Mapping[str, Lane]
     """By their id."""
+    edges: Set[str]
+    """The road whose flow and density are told: the same in all runs of a demand, however far its vehicles get."""
     teleported: tuple[tuple[float, str], ...] = ()
     """When who was taken off the road to be put on again elsewhere."""
 
@@ -120,10 +122,9 @@ class Reports:
             (float(one.get("time", "")), {one.get("collider", ""), one.get("victim", "")})
             for one in _elements(run.folder / "collisions.xml", "collision")
         ]
-        used = {lane.rpartition("_")[0] for lane in self._samples["lane"].unique()}
-        lanes_m: dict[str, list[float]] = {edge: [] for edge in used}
+        lanes_m: dict[str, list[float]] = {edge: [] for edge in run.edges}
         for name, lane in run.lanes.items():
-            if lane.is_open and (edge := name.rpartition("_")[0]) in used:
+            if lane.is_open and (edge := name.rpartition("_")[0]) in lanes_m:
                 lanes_m[edge].append(lane.length_m)
         self._road_m = sum(max(of_edge) for of_edge in lanes_m.values() if of_edge)
         self._lanes_m = sum(sum(of_edge) for of_edge in lanes_m.values())
@@ -169,6 +170,8 @@ class Reports:
         run = self._run
         period_s = run.until_s - run.from_s
         road_m, lanes_m = self._road_m, self._lanes_m
+        there = samples[samples["is_on_edges"]]
+        there_s, there_m = SAMPLED_S * len(there), SAMPLED_S * float(there["speed"].sum())
         driven_s, driven_m = SAMPLED_S * len(samples), SAMPLED_S * float(samples["speed"].sum())
         vehkm = driven_m / 1000
         departed = trips[(trips["depart"] >= run.from_s) & (trips["depart"] < run.until_s)]
@@ -190,8 +193,8 @@ class Reports:
             "unfinished": int(((trips["depart"] >= 0) & (trips["arrival"] < 0)).sum()),
             "waiting": len(waiting),
             "vehkm": vehkm,
-            "flow_vehph": 3600 * driven_m / (road_m * period_s) if road_m else np.nan,
-            "density_vehpkm_lane": 1000 * driven_s / (lanes_m * period_s) if lanes_m else np.nan,
+            "flow_vehph": 3600 * there_m / (road_m * period_s) if road_m else np.nan,
+            "density_vehpkm_lane": 1000 * there_s / (lanes_m * period_s) if lanes_m else np.nan,
             "speed_kmh": KMH * driven_m / driven_s if driven_s else np.nan,
             "speed_std_kmh": KMH * _std_within(samples),
             "time_loss_s_per_km": per_vehkm(float(_time_loss_s(samples).sum())),
@@ -233,6 +236,8 @@ def _samples(run: Run) -> pd.DataFrame:
     read.columns = [name.rpartition("_")[2] for name in read.columns]
     read = read[(read["time"] >= run.from_s) & (read["time"] < run.until_s) & read["id"].notna()]
     read = read.sort_values(["id", "time"], kind="stable", ignore_index=True)
+    on_edges = {lane for lane in read["lane"].unique() if lane.rpartition("_")[0] in run.edges}
+    read["is_on_edges"] = read["lane"].isin(on_edges)
     limits = read["lane"].map({name: lane.limit_mps for name, lane in run.lanes.items()}).to_numpy(np.float64)
     factors, fastest = (read["id"].map({name: one[n] for name, one in run.vehicles.items()}) for n in (1, 2))
     read["wish"] = np.minimum(limits * factors.to_numpy(np.float64), fastest.to_numpy(np.float64))

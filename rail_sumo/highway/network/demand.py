@@ -108,6 +108,12 @@ def warnings(demand: Demand, traffic: config.Traffic) -> Iterator[str]:
         yield f"'{names}' has no <vehicle>, <flow> or <trip>: traffic is made for the host"
     if demand.has_traffic and not demand.may_have_cars:
         yield "the demand has no cars: the host takes the place of another motor vehicle, and is as long and as wide"
+    for one in demand.contents:
+        for kind, length_m in one.long_cars.items():
+            yield (
+                f"vehicle type '{kind}' is {length_m:g} m long and has no vClass: it counts, and may be driven, as a car; "
+                f'if it is none, give it one, such as vClass="truck"'
+            )
     for given in demand.routes:
         for path in _with_included(given):
             misplaced = demand_file.read(path).misplaced

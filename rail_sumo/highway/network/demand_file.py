@@ -37,6 +37,8 @@ UNNAMED = frozenset({"calibrator", "person", "personFlow"})
 """Elements for which SUMO may make vehicles, with ids of its own."""
 OUTPUTS = ("file", "output", "dest")
 """Attributes that name a file to be written."""
+LONGEST_CAR_M = 8.0
+"""What is longer is no car, though its type names no class and SUMO takes it for one."""
 DENSEST_FLOW_PER_S = 1000.0
 """No road takes as many vehicles; SUMO would make them all and never come to an end."""
 OUTPUT_PARAMETER = ".file"
@@ -63,6 +65,8 @@ class DemandFile:
     """How many vehicles a flow has at most, by its id, where they are not multiplied; inf where it does not tell."""
     types: dict[str, str] = field(default_factory=dict)
     """Classes of vehicle types, by their ids; of distributions, as if they were of cars."""
+    long_cars: dict[str, float] = field(default_factory=dict)
+    """Lengths of types without a class that are longer than a car, by their ids."""
     kinds: set[str] = field(default_factory=set)
     """Ids of the types that vehicles are of."""
     may_have_more: bool = False
@@ -93,6 +97,10 @@ class DemandFile:
         if tag in TYPES:
             self.types[name] = element.get("vClass", DEFAULT_CLASS)
             self.may_have_more = self.may_have_more or "scale" in element.attrib
+            with suppress(ValueError):
+                length_m = float(element.get("length", "0"))
+                if "vClass" not in element.attrib and length_m > LONGEST_CAR_M:
+                    self.long_cars[name] = length_m
         if tag == "include":
             self.includes.append(element.get("href", ""))
         self.outputs += filter(None, map(element.get, OUTPUTS))
