@@ -16,6 +16,8 @@ INSTEAD = "acc"
 """What drives a share of a demand, and no single host; see `studies.sweep`."""
 AS_A_TYPE = f"{drivers.SUMO_AS}TYPE"
 """How SUMO's own driver as one of the demand's types is listed; see `drivers.hands_off`."""
+OF_LEARNING = ("policy", "cloning", "search", "judge", "rail", "gail", "dagger", "ars", "train", "expert")
+"""Sections of the configuration that are not about the world."""
 MODES = (ARGMAX, SAMPLED)
 """How a learned policy may act, as `runs/first:sampled`; without a colon as it was trained."""
 
@@ -37,12 +39,23 @@ def world(policies: Iterable[str], overrides: Iterable[str] = (), *, config: Pat
     for folder in folders:
         _require_folder(folder)
     chosen = config_file.load(config or (folders[0] / CONFIG if folders else None), overrides)
-    require_senses(policies, chosen, overrides)
+    require_heeded(policies, chosen, overrides)
     return chosen
 
 
-def require_senses(policies: Iterable[str], world: Config, overrides: Iterable[str]) -> None:
-    """Raise InputError if overrides ask for other senses than one of the policies has: a driver keeps its own."""
+def require_heeded(policies: Iterable[str], world: Config, overrides: Iterable[str]) -> None:
+    """Raise InputError if overrides ask for what drivers do not heed.
+
+    That is other senses than one of the policies has, for a driver keeps its own, and whatever is about learning.
+    """
+    for override in overrides:
+        key = override.partition("=")[0].strip()
+        if key.partition(".")[0] in OF_LEARNING and key != "train.expert":
+            as_trained = ": what was learned acts as it was trained, or as RUN:argmax or RUN:sampled"
+            raise InputError(
+                f"{key} is about learning, and changes nobody who drives{as_trained if key == 'policy.mode' else ''}; "
+                "leave it out"
+            )
     if any(override.startswith(("lidar.", "observation.")) for override in overrides):
         for policy in policies:
             drivers.require_same_senses(find_driver(policy, world), world, f"policy '{policy}'")

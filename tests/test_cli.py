@@ -88,6 +88,8 @@ BAD = {
     "eval keep --fcd": "--fcd writes into the folder of --out; name one",
     "eval keep --workers ray --fcd --out new": "floating-car data are written on this machine: drive with a number of",
     "eval keep --network highwy5": "network 'highwy5' not found; did you mean 'highway5'? (available: arterial, ",
+    "eval rail --set policy.mode=argmax": "policy.mode is about learning, and changes nobody who drives: what",
+    "eval keep --set judge.hidden=[]": "judge.hidden is about learning, and changes nobody who drives; leave it out",
     "eval keep --network none.net.xml": "network file 'none.net.xml' does not exist (current folder: ",
     "eval keep --network none.sumocfg": "network file 'none.sumocfg' does not exist (current folder: ",
     "eval keep --network cut.sumocfg": "'cut.sumocfg' is not a complete XML file: ",

@@ -2,6 +2,7 @@
 
 import io
 import re
+import shutil
 import subprocess
 import sys
 from pathlib import Path
@@ -91,11 +92,16 @@ def test_the_configuration_shown_is_one_and_changes_what_it_names(tmp_path):
 def test_the_python_shown_runs_in_an_empty_folder(tmp_path):
     (training,) = shown("docs/start.md", "python")
     (edges,) = shown("docs/share.md", "python")
+    (over_trainings,) = shown("docs/learners.md", "python")
     (environment,) = shown("README.md", "python")
     (floating_car_data,) = shown("docs/watch.md", "python")
     (tmp_path / "training.py").write_text(shortened(training), encoding="utf-8")
     speeds = run(tmp_path, "training.py")
     assert [line.split()[0] for line in speeds.splitlines()[1:]] == ["runs/linear", "expert", "rule"]
+    for seed in range(3):
+        shutil.copytree(tmp_path / "runs" / "linear", tmp_path / "runs" / f"mine-seed{seed}")
+    (tmp_path / "over_trainings.py").write_text(over_trainings.replace("episodes=16", "episodes=1"), encoding="utf-8")
+    assert re.fullmatch(r"0\.\d+ \(.* to .*\) of the expert's speed", run(tmp_path, "over_trainings.py").strip())
     assert "(48,)" in run(tmp_path, "-c", environment + "print(observation.shape)\n")
     (command,) = re.findall(r"# rail-sumo (eval .*)", floating_car_data)
     run(tmp_path, "-c", "from rail_sumo import cli; cli.main()", *command.split(), "--episodes", "1")

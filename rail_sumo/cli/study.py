@@ -112,7 +112,7 @@ def sweep(
         raise InputError(f"varied is share, or a key of the configuration such as traffic.scale; got '{what}'")
     changes = overrides_of(network, routes, overrides)
     world = config_file.load(config_path, changes)
-    roster.require_senses([name for name in driver if name != study.ACC], world, changes)
+    roster.require_heeded([name for name in driver if name != study.ACC], world, changes)
     swept = study.Sweep(
         world,
         tuple(driver),

@@ -111,8 +111,8 @@ def warnings(demand: Demand, traffic: config.Traffic) -> Iterator[str]:
     for one in demand.contents:
         for kind, length_m in one.long_cars.items():
             yield (
-                f"vehicle type '{kind}' is {length_m:g} m long and has no vClass: it counts, and may be driven, as a car; "
-                f'if it is none, give it one, such as vClass="truck"'
+                f"vehicle type '{kind}' is {length_m:g} m long and has no vClass: it counts, and may be driven, as a "
+                f'car; if it is none, give it one, such as vClass="truck"'
             )
     for given in demand.routes:
         for path in _with_included(given):
