@@ -164,8 +164,29 @@ def test_a_road_that_fills_up_in_the_period_is_told_of_whoever_drives(unfinished
     assert bool(notes) == told
     if told:
         assert notes[0].startswith(
-            "the road fills up in the period, from 100 to 121 vehicles in the mean over seeds (rule"
+            "the road fills up in the period, by vehicles in the mean over seeds: rule at 50% from 100 to 121: figures"
         )
+
+
+def test_a_road_that_locks_with_some_seeds_is_told_of():
+    about = {"vehicles": "all", "setting": "", "teleports": 0}
+    table = pd.DataFrame([
+        about | {"driver": "sumo", "share": 0.0, "seed": 0},
+        about | {"driver": "sumo", "share": 0.5, "seed": 1, "teleports": 3},  # told once, of share 0
+        about | {"driver": "rule", "share": 0.5, "seed": 0, "teleports": 2},
+        about | {"driver": "rule", "share": 0.5, "seed": 3, "teleports": 1},
+    ])  # fmt: skip
+    (note,) = sweep._locks(table)
+    assert "with the seeds rule at 50% 0, 3: the road may be locked there" in note
+    assert not list(sweep._locks(table[table["teleports"] == 0]))
+
+
+@pytest.mark.parametrize(("driver", "told"), [("acc", True), ("rule", False)])
+def test_keys_of_the_assistance_layer_are_told_to_do_nothing_to_sumos_own_cruise_control(world, driver, told):
+    swept = small(world, "out", drivers=(driver,), key="adas.time_gap_s", settings=("1", "2"))
+    assert bool(list(swept._idle_keys())) == told
+    changed = replace(swept, config=world.changed(adas={"max_speed_kmh": 90.0}), key="traffic.scale")
+    assert ([note.partition(":")[0] for note in changed._idle_keys()] == ["adas.max_speed_kmh"]) == told
 
 
 def test_flow_is_of_the_same_road_at_every_share_however_far_vehicles_get(tmp_path):
@@ -299,7 +320,7 @@ def test_what_makes_figures_doubtful_is_kept_beside_them(world, tmp_path, figure
     notes = (
         "traffic.lorries: of made traffic",
         "the last vehicle departs at 200 s, before the period ends at ",
-        "the road fills up in the period, from ",
+        "the road fills up in the period, by vehicles in the mean over seeds: acc at 100% from",
     )
     tables = swept.drive()
     for told, begins in zip(tables.notes, notes, strict=True):

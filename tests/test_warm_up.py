@@ -25,6 +25,13 @@ def test_where_more_come_than_leave_nothing_settles_and_half_is_left_out():
     assert found_s(filling(100, 1200, over_s=1200)) == (600, False)
 
 
+def test_few_vehicles_that_come_and_go_by_chance_are_no_growth():
+    """Eight on the road on average: in the last quarter ten, in that before eight."""
+    counts = [8] * 900 + [10] * 300
+    assert found_s(counts)[1]
+    assert not found_s([10 * count for count in counts])[1]
+
+
 @given(st.lists(st.integers(0, 50), max_size=400))
 def test_no_more_than_half_is_ever_left_out(counts):
     seconds, _ = found_s(counts)

@@ -56,6 +56,8 @@ FIGURES = "figures"
 """The folder of its pictures."""
 SECTIONS, PERIOD = ("network", "traffic", "adas", "lidar", "observation"), "episode.decision_period_s"
 """What may be swept over beside the share: numbers of these sections, and this one."""
+ARM, MOST_TOLD = ["driver", "setting", "share"], 4
+"""What runs have in common that differ by their seed; notes name so many groups of runs at most."""
 GROWN, GROWN_BY = 10.0, 0.2
 """A road fills up where there are so many vehicles more at the end of the period, and by this share of those before."""
 FOUND_OVER, FOUND_WITHIN_S = 2.0, 1200.0
@@ -106,6 +108,7 @@ class Sweep:
         planned = list(self._work())  # every driver is found, or not, before the first run
         warm_up_s, notes = self._found_warm_up() if self.warm_up_s is None else (self.warm_up_s, [])
         notes += demand.warnings(demand_of(self.config), self.config.traffic)
+        notes += self._idle_keys()
         notes += self._early_ends(warm_up_s)
         for note in notes:
             self.observer.note(note)
@@ -121,7 +124,7 @@ class Sweep:
         table = report.typed(pd.concat(driven, ignore_index=True), TRAFFIC_COLUMNS)
         if not table.loc[table["vehicles"] == traffic.DRIVEN, "n_vehicles"].any():
             raise InputError("no car of the share was on the road in the period; change traffic.begin_s or --duration")
-        for note in (*_backlog(table), *_growth(table)):
+        for note in (*_backlog(table), *_growth(table), *_locks(table)):
             notes.append(note)
             self.observer.note(note)
         edges = pd.concat([pd.read_parquet(one.edges_file) for one in work], ignore_index=True)
@@ -257,6 +260,17 @@ class Sweep:
                     f"choose a shorter --{option}, or lengthen the demand"
                 )
 
+    def _idle_keys(self) -> Iterator[str]:
+        """Tell which keys do nothing to one of the drivers."""
+        usual = Config().adas
+        changed = {f"adas.{name}" for name, value in self.config.adas if value != getattr(usual, name)} | {self.key}
+        idle = sorted(key for key in changed if key.startswith("adas."))
+        if ACC in self.drivers and idle:
+            yield (
+                f"{', '.join(idle)}: without effect on {ACC}, which keeps the time gap (tau), accelerations and wish "
+                "of the vehicle's own type"
+            )
+
     def _at(self, setting: str) -> str:
         """Return where in the sweep something holds, to be read on after what it is."""
         return f" at {self.key} = {setting}" if setting else ""
@@ -274,20 +288,46 @@ def _backlog(table: pd.DataFrame) -> Iterator[str]:
 
 def _growth(table: pd.DataFrame) -> Iterator[str]:
     """Tell where more vehicles came than left, so that the figures depend on when the period begins and ends."""
-    on_road = table[table["vehicles"] == traffic.ALL].groupby(["driver", "setting", "share"])[
-        ["unfinished", "inserted", "arrived"]
-    ].mean()  # fmt: skip
+    on_road = _of_all(table).groupby(ARM)[["unfinished", "inserted", "arrived"]].mean()
     ends = on_road["unfinished"]
     begins = ends - on_road["inserted"] + on_road["arrived"]
     growth = ends - begins
-    if ((growth >= GROWN) & (growth > GROWN_BY * begins)).any():
-        most = growth.idxmax()
-        driver, setting, share = most
-        arm = "as they are" if driver == AS_THEY_ARE else f"{driver}, share {share:g}"
+    grown = growth[(growth >= GROWN) & (growth > GROWN_BY * begins)].sort_values(ascending=False)
+    if len(grown):
+        told = [f"{_arm(*arm)} from {begins[arm]:.0f} to {ends[arm]:.0f}" for arm in grown.index[:MOST_TOLD]]
+        more = f" and {len(grown) - MOST_TOLD} more" if len(grown) > MOST_TOLD else ""
         yield (
-            f"the road fills up in the period, from {begins[most]:.0f} to {ends[most]:.0f} vehicles in the mean over "
-            f"seeds ({arm}{f', {setting}' if setting else ''}): figures depend on when it begins and ends"
+            f"the road fills up in the period, by vehicles in the mean over seeds: {'; '.join(told)}{more}: figures "
+            "depend on when it begins and ends"
         )
+
+
+def _locks(table: pd.DataFrame) -> Iterator[str]:
+    """Tell where SUMO took vehicles off the road that had stood for too long, as where it is locked."""
+    locked = _of_all(table)
+    locked = locked[locked["teleports"] > 0]
+    if len(locked):
+        told = [
+            f"{_arm(driver, setting, share)} {', '.join(map(str, of_arm['seed']))}"
+            for (driver, setting, share), of_arm in locked.groupby(ARM, sort=False)
+        ]
+        more = f" and {len(told) - MOST_TOLD} more" if len(told) > MOST_TOLD else ""
+        yield (
+            f"SUMO took vehicles off the road that had stood too long (column teleports), with the seeds "
+            f"{'; '.join(told[:MOST_TOLD])}{more}: the road may be locked there, and means are of unlike runs"
+        )
+
+
+def _of_all(table: pd.DataFrame) -> pd.DataFrame:
+    """Return the rows of all vehicles, those of the runs without driven cars once."""
+    told_once = (table["driver"] != AS_THEY_ARE) | (table["share"] == 0.0)
+    return table[(table["vehicles"] == traffic.ALL) & told_once]
+
+
+def _arm(driver: str, setting: str, share: float) -> str:
+    """Return what a group of runs is called."""
+    who = "as they are" if driver == AS_THEY_ARE else f"{driver} at {share:.0%}"
+    return f"{who}, {setting}" if setting else who
 
 
 class Tables(NamedTuple):

@@ -9,7 +9,9 @@ BATCH_S = 30
 ENOUGH = 0.95
 """The road is full once it holds this share of the vehicles that it holds on average later."""
 GROWS = 1.1
-"""The number still grows if it is so many times as large in the last quarter as in the quarter before."""
+"""The number still grows if it is so many times as large in the last quarter as in the quarter before, ..."""
+BY_CHANCE = 2.0
+"""... and by more than so many standard deviations of a number that varies by chance alone, as Poisson's does."""
 
 
 def found_s(counts: Sequence[float]) -> tuple[int, bool]:
@@ -27,7 +29,7 @@ def found_s(counts: Sequence[float]) -> tuple[int, bool]:
     if len(settled) < 2 * BATCH_S:
         return half, False
     before, after = settled[: len(settled) // 2].mean(), settled[len(settled) // 2 :].mean()
-    if after > GROWS * before:
+    if after > GROWS * before and after - before > BY_CHANCE * np.sqrt(before):
         return half, False
     for end in range(BATCH_S, half, BATCH_S):
         if numbers[end - BATCH_S : end].mean() >= ENOUGH * settled.mean():
