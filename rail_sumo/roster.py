@@ -117,9 +117,20 @@ def _find(policy: str, world: Config, also: Sequence[str]) -> Who:
     return RunDirectory(folder).policy()
 
 
-def unfinished(policies: Iterable[str]) -> list[str]:
-    """Return a line for each run among the policies that has done fewer iterations than it is to have."""
-    return [told for run in judges_of(policies).values() if (told := run.unfinished)]
+def doubts(policies: Sequence[str], world: Config) -> list[str]:
+    """Return what the names of the policies do not tell of who drives.
+
+    That is a line for each run that has done fewer iterations than it is to have, and one where the expert of this
+    world is not the shipped one.
+    """
+    told = [line for run in judges_of(policies).values() if (line := run.unfinished)]
+    named = {_name_and_mode(policy)[0] for policy in policies}
+    if report.EXPERT in named and world.train.expert != Config().train.expert:
+        told.append(
+            f"'{report.EXPERT}' is '{world.train.expert}' here, as train.expert says, and not the shipped one; name "
+            "another first, or --set train.expert=shipped"
+        )
+    return told
 
 
 def judges_of(policies: Iterable[str]) -> dict[str, RunDirectory]:

@@ -776,10 +776,10 @@ def test_who_the_table_compares_with_is_told_where_the_demonstrations_are_anothe
 def test_a_run_that_is_not_done_says_so(small, driven, tmp_path):
     world = small.changed(train={"iterations": 1})
     training.learn(world, tmp_path / "run", seed=1)
-    assert roster.unfinished([str(tmp_path / "run"), "rail", "keep"]) == []
+    assert roster.doubts([str(tmp_path / "run"), "rail", "keep"], small) == []
     config = tmp_path / "run" / CONFIG
     config.write_text(config.read_text().replace("iterations = 1\n", "iterations = 5\n"))
-    (told,) = roster.unfinished([str(tmp_path / "run"), "rail", "keep"])
+    (told,) = roster.doubts([str(tmp_path / "run"), "rail", "keep"], small)
     assert told == f"'{tmp_path / 'run'}' has done 1 of 5 iterations; go on with --resume"
 
 
@@ -823,3 +823,11 @@ def test_a_learner_that_gives_up_or_says_something_else_is_told(small, driven, t
     other = small.changed(train={"learner": "own_learners:SAYS_SOMETHING_ELSE"})
     with pytest.raises(InputError, match=r"^learner '.*:SAYS_SOMETHING_ELSE' yields a dict; it has to yield an `Iter"):
         training.learn(other, tmp_path / "other", seed=1)
+
+
+def test_an_expert_that_is_not_the_shipped_one_is_told():
+    assert roster.doubts(["expert", "rule"], config.Config()) == []
+    other = config.Config().changed(train={"expert": "runs/mine"})
+    assert roster.doubts(["rule"], other) == []
+    (told,) = roster.doubts(["rule", "expert"], other)
+    assert told.startswith("'expert' is 'runs/mine' here, as train.expert says, and not the shipped one")

@@ -75,7 +75,7 @@ def evaluate(
     _require_each_once(policies)
     world = roster.world(policies, overrides_of(network, routes, overrides), config=config_path)
     who = {policy: roster.find_driver(policy, world) for policy in policies}
-    for line in roster.unfinished(policies):
+    for line in roster.doubts(policies, world):
         tell(line)
 
     def keep(tables: "Tables", whole: Path, **more: str) -> None:
@@ -196,6 +196,8 @@ def replay(
         _require_each_once(what)
         world = roster.world(what, overrides_of(network, routes, overrides), config=config_path)
         who = {policy: roster.find_driver(policy, world) for policy in what}
+        for line in roster.doubts(what, world):
+            tell(line)
         replay.write(who, world, out, seed=seed, episode=episode, judges=roster.judges_of(what), overwrite=overwrite)
     print(f"replay in {out}; open it in a browser")
 
