@@ -397,14 +397,15 @@ class Host:
             self._told_mps = speed_mps
 
     def _keep_to_limit(self) -> None:
-        """Have SUMO's own driver keep to the limit of its lane and the highest set speed there.
+        """Have SUMO's own driver keep to the limit of its lane and the highest set speed.
 
         Or be no faster than it is, while the assistance layer has it slow down: SUMO would brake hard.
         """
-        limit_mps, factor = self.limit_mps, AS_ALLOWED
-        if limit_mps > 0.0:
-            allowed = min(AS_ALLOWED, self._adas.highest_mps(limit_mps) / limit_mps * AS_ALLOWED)
-            factor = max(allowed, self.speeds_mps[-1] / limit_mps)
+        limit_mps, speed_mps = self.limit_mps, self.speeds_mps[-1]
+        if speed_mps < self.ceiling_mps and self.ceiling_mps > self.fastest_mps:  # it has entered faster
+            self.ceiling_mps = max(speed_mps, self.fastest_mps)
+            libsumo.vehicle.setMaxSpeed(self.name, self.ceiling_mps)  # handed over, it is of a type of its own
+        factor = max(AS_ALLOWED, speed_mps / limit_mps) if limit_mps > 0.0 else AS_ALLOWED
         if factor != self._speed_factor:
             libsumo.vehicle.setSpeedFactor(self.name, factor)
             self._speed_factor = factor
