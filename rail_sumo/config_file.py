@@ -112,6 +112,11 @@ def _comment(text: str | None) -> list[str]:
     return textwrap.wrap(text or "", 120, initial_indent="# ", subsequent_indent="# ")
 
 
+def key_of(override: str) -> str:
+    """Return the key that an override `section.key=value` names."""
+    return override.partition("=")[0].strip()
+
+
 def _apply(tree: dict[str, Any], override: str) -> None:
     key, equals, text = override.partition("=")
     parts = [part.strip() for part in key.split(".")]

@@ -49,7 +49,7 @@ def require_heeded(policies: Iterable[str], world: Config, overrides: Iterable[s
     That is other senses than one of the policies has, for a driver keeps its own, and whatever is about learning.
     """
     for override in overrides:
-        key = override.partition("=")[0].strip()
+        key = config_file.key_of(override)
         if key.partition(".")[0] in OF_LEARNING and key != "train.expert":
             as_trained = ": what was learned acts as it was trained, or as RUN:argmax or RUN:sampled"
             raise InputError(

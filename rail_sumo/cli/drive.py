@@ -32,6 +32,8 @@ from rail_sumo.cli.progress import progress_bars, show
 from rail_sumo.errors import InputError
 
 if TYPE_CHECKING:
+    from rail_sumo.config import Config
+    from rail_sumo.rollout import Who
     from rail_sumo.run import Tables
 
 FCD, REPLAYS = "fcd", "replays"
@@ -72,11 +74,7 @@ def evaluate(
 
     _require_place(out, {"--fcd": (FCD, fcd), "--replay": (REPLAYS, bool(replays))}, overwrite=overwrite)
     n_workers = workers_of(workers)
-    _require_each_once(policies)
-    world = roster.world(policies, overrides_of(network, routes, overrides), config=config_path)
-    who = {policy: roster.find_driver(policy, world) for policy in policies}
-    for line in roster.doubts(policies, world):
-        tell(line)
+    world, who = _found(policies, overrides_of(network, routes, overrides), config_path)
 
     def keep(tables: "Tables", whole: Path, **more: str) -> None:
         tables.save(whole)
@@ -193,11 +191,7 @@ def replay(
         if begin is not None or end is not None:
             raise InputError("--begin and --end cut floating-car data; of an episode all is shown")
         _require_no_recordings(what)
-        _require_each_once(what)
-        world = roster.world(what, overrides_of(network, routes, overrides), config=config_path)
-        who = {policy: roster.find_driver(policy, world) for policy in what}
-        for line in roster.doubts(what, world):
-            tell(line)
+        world, who = _found(what, overrides_of(network, routes, overrides), config_path)
         replay.write(who, world, out, seed=seed, episode=episode, judges=roster.judges_of(what), overwrite=overwrite)
     print(f"replay in {out}; open it in a browser")
 
@@ -214,7 +208,15 @@ def _require_no_recordings(policies: list[str]) -> None:
             raise InputError(f"'{one}' is a folder of floating-car data, a file an episode; name one, such as '{part}'")
 
 
-def _require_each_once(policies: list[str]) -> None:
+def _found(policies: list[str], overrides: list[str], config_path: Path | None) -> "tuple[Config, dict[str, Who]]":
+    """Return the world to drive in and who drives, by the names given, after telling what those leave in doubt."""
+    from rail_sumo import roster
+
     twice = {policy for policy in policies if policies.count(policy) > 1}
     if twice:
         raise InputError(f"each policy is driven once; named twice: {', '.join(sorted(twice))}")
+    world = roster.world(policies, overrides, config=config_path)
+    who = {policy: roster.find_driver(policy, world) for policy in policies}
+    for line in roster.doubts(policies, world):
+        tell(line)
+    return world, who

@@ -9,6 +9,7 @@ from typing import Annotated, Any, Literal
 
 import typer
 
+from rail_sumo import config_file
 from rail_sumo.errors import InputError
 from rail_sumo.highway.network.sumo_xml import is_configuration
 from rail_sumo.records import SECONDS_PER_STEP
@@ -39,7 +40,7 @@ Overwrite = Annotated[bool, typer.Option("--overwrite", help="Replace what is th
 def overrides_of(network: str | None, routes: list[str] | None, overrides: list[str] | None) -> list[str]:
     """Return the options that choose a world as overrides of the configuration."""
     world: dict[str, Any] = {}
-    own = {override.partition("=")[0].strip() for override in overrides or ()}
+    own = set(map(config_file.key_of, overrides or ()))
     own |= {"traffic.routes"} if routes else set()
     if network and is_configuration(Path(network)):
         from rail_sumo.highway.network import sumocfg  # SUMO takes half a second to import

@@ -43,6 +43,7 @@ from rail_sumo.tables.shares import (
     TRAFFIC_COLUMNS,
     Row,
     compared,
+    of_all_vehicles,
     summarised,
     told_rows,
     told_table,
@@ -278,7 +279,7 @@ class Sweep:
 
 def _backlog(table: pd.DataFrame) -> Iterator[str]:
     """Tell where vehicles found no room to enter, which no mean of those on the road shows."""
-    waiting = table[table["vehicles"] == traffic.ALL].groupby(["driver", "setting", "share"])["waiting"].mean()
+    waiting = of_all_vehicles(table).groupby(ARM)["waiting"].mean()
     if waiting.max() >= 1.0:
         yield (
             f"vehicles still wait for room to enter at the end, {waiting.min():.0f} to {waiting.max():.0f} of them in "
@@ -288,7 +289,7 @@ def _backlog(table: pd.DataFrame) -> Iterator[str]:
 
 def _growth(table: pd.DataFrame) -> Iterator[str]:
     """Tell where more vehicles came than left, so that the figures depend on when the period begins and ends."""
-    on_road = _of_all(table).groupby(ARM)[["unfinished", "inserted", "arrived"]].mean()
+    on_road = of_all_vehicles(table).groupby(ARM)[["unfinished", "inserted", "arrived"]].mean()
     ends = on_road["unfinished"]
     begins = ends - on_road["inserted"] + on_road["arrived"]
     growth = ends - begins
@@ -304,8 +305,7 @@ def _growth(table: pd.DataFrame) -> Iterator[str]:
 
 def _locks(table: pd.DataFrame) -> Iterator[str]:
     """Tell where SUMO took vehicles off the road that had stood for too long, as where it is locked."""
-    locked = _of_all(table)
-    locked = locked[locked["teleports"] > 0]
+    locked = of_all_vehicles(table).query("teleports > 0")
     if len(locked):
         told = [
             f"{_arm(driver, setting, share)} {', '.join(map(str, of_arm['seed']))}"
@@ -316,12 +316,6 @@ def _locks(table: pd.DataFrame) -> Iterator[str]:
             f"SUMO took vehicles off the road that had stood too long (column teleports), with the seeds "
             f"{'; '.join(told[:MOST_TOLD])}{more}: the road may be locked there, and means are of unlike runs"
         )
-
-
-def _of_all(table: pd.DataFrame) -> pd.DataFrame:
-    """Return the rows of all vehicles, those of the runs without driven cars once."""
-    told_once = (table["driver"] != AS_THEY_ARE) | (table["share"] == 0.0)
-    return table[(table["vehicles"] == traffic.ALL) & told_once]
 
 
 def _arm(driver: str, setting: str, share: float) -> str:

@@ -114,6 +114,16 @@ def compared(table: pd.DataFrame) -> pd.DataFrame:
     return report.typed(rows, DIFFERENCE_COLUMNS)
 
 
+def told_once(table: pd.DataFrame) -> pd.DataFrame:
+    """Return the rows of a sweep's table with those of the runs without driven cars once, of share 0."""
+    return table[(table["driver"] != AS_THEY_ARE) | (table["share"] == 0.0)]
+
+
+def of_all_vehicles(table: pd.DataFrame) -> pd.DataFrame:
+    """Return the rows of the `traffic` table that are of all vehicles, each run's once."""
+    return told_once(table[table["vehicles"] == traffic.ALL])
+
+
 def rates(edges: pd.DataFrame, by: list[str]) -> pd.DataFrame:
     """Return what the sums of the `edges` table come to, of all vehicles on all seeds, for each group of rows.
 
@@ -123,8 +133,7 @@ def rates(edges: pd.DataFrame, by: list[str]) -> pd.DataFrame:
         edges: `EDGE_COLUMNS`.
         by: its columns that make a group.
     """
-    told = edges[(edges["driver"] != AS_THEY_ARE) | (edges["share"] == 0.0)]
-    sums = told.groupby(by, sort=False)[list(traffic.SUMS)].sum()
+    sums = told_once(edges).groupby(by, sort=False)[list(traffic.SUMS)].sum()
     counted = [name for name in traffic.SUMS if name not in ("vehicle_s", "vehkm", "time_loss_s")]
     return pd.DataFrame({
         "vehkm": sums["vehkm"],
@@ -217,7 +226,7 @@ class Row(NamedTuple):
 
 def told_rows(table: pd.DataFrame, differences: pd.DataFrame) -> list[Row]:
     """Return a row for each driver, setting and share."""
-    of_all = table[(table["vehicles"] == traffic.ALL) & ((table["driver"] != AS_THEY_ARE) | (table["share"] == 0.0))]
+    of_all = of_all_vehicles(table)
     changes = differences[differences["vehicles"] == traffic.ALL].set_index(["driver", "setting", "share", "measure"])
     rows = []
     for (driver, setting, share), of_seeds in of_all.groupby(["driver", "setting", "share"], sort=False):

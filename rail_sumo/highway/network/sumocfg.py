@@ -22,7 +22,7 @@ INPUT_FILES = (
     *("astar.all-distances", "astar.landmark-distances", "device.fcd-replay.files"),
 )
 """Options that name files to be read."""
-FILE_KEYS = frozenset({"network.file", "traffic.routes", "traffic.additional"})
+FILE_KEYS = ("network.file", "traffic.routes", "traffic.additional")
 """Those keys of ours whose values are files."""
 
 UNTOLD_TOPICS = frozenset({"report", "gui_only", "traci_server"})
@@ -80,7 +80,7 @@ def require_files(path: Path, keys: Mapping[str, Any]) -> None:
         path: the configuration.
         keys: those of ours that it sets, as of `read`, without what is not to be used.
     """
-    for key in FILE_KEYS & keys.keys():
+    for key in filter(keys.__contains__, FILE_KEYS):
         for file in [keys[key]] if isinstance(keys[key], str) else keys[key]:
             if not Path(file).exists():
                 raise InputError(f"'{path}' names '{file}', which does not exist; correct it, or set {key} yourself")
