@@ -5,7 +5,7 @@ import json
 
 from safetensors.numpy import save
 
-from rail_sumo import run
+from rail_sumo import run, training
 from rail_sumo.assets import EXPERT_DEMONSTRATIONS, EXPERT_POLICY, EXPERT_RECIPE, MANIFEST
 from rail_sumo.config import Config
 from rail_sumo.config_file import dumps
@@ -64,7 +64,8 @@ def train(
         (whole / EXPERT_RECIPE).write_text(dumps(config), encoding="utf-8")
         demonstrations.save(whole / EXPERT_DEMONSTRATIONS, features=features, about=about)
         means = tables.summary.set_index("metric")["mean"]
-        (whole / MANIFEST).write_text(run.manifest(whole, means, seed), encoding="utf-8")
+        written = run.manifest(whole, means, seed, training.world_inputs(config))
+        (whole / MANIFEST).write_text(written, encoding="utf-8")
     return tables
 
 

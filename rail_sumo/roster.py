@@ -1,10 +1,10 @@
-"""Who drives under a name: a driver of ours, an expert's folder, or what a run directory learned."""
+"""Who drives under a name: a driver of ours or of another module, an expert's folder, or what a run learned."""
 
 import itertools
 from collections.abc import Iterable, Sequence
 from pathlib import Path
 
-from rail_sumo import assets, config_file, drivers
+from rail_sumo import assets, config_file, drivers, registry
 from rail_sumo.config import Config
 from rail_sumo.errors import InputError, did_you_mean
 from rail_sumo.policy import ARGMAX, SAMPLED, PolicyParameters
@@ -35,7 +35,7 @@ def world(policies: Iterable[str], overrides: Iterable[str] = (), *, config: Pat
         InputError: a policy is neither, it senses otherwise than `overrides` ask, or what `config_file.load` raises.
     """
     named = [_name_and_mode(policy)[0] for policy in policies]
-    folders = [Path(name) for name in named if not drivers.is_name(name)]
+    folders = [Path(name) for name in named if not drivers.is_name(name) and not _is_from_outside(name)]
     for folder in folders:
         _require_folder(folder)
     chosen = config_file.load(config or (folders[0] / CONFIG if folders else None), overrides)
@@ -62,9 +62,10 @@ def require_heeded(policies: Iterable[str], world: Config, overrides: Iterable[s
 
 
 def find_driver(policy: str, world: Config, *, also: Sequence[str] = (AS_A_TYPE,)) -> Who:
-    """Return who drives under the name: a driver of ours, an expert's folder, or what a run directory learned.
+    """Return who drives under the name: a driver of ours or of another module, an expert's folder, or a run directory.
 
-    What was learned acts as it was trained, or as the name says behind a colon: `rail:sampled`, `runs/first:argmax`.
+    What was learned acts as it was trained, or as the name says behind a colon: `rail:sampled`, `runs/first:argmax`. A
+    driver of another module is written `module:attribute`: an object, or a class, which is called without arguments.
 
     Args:
         policy: the name.
@@ -72,8 +73,8 @@ def find_driver(policy: str, world: Config, *, also: Sequence[str] = (AS_A_TYPE,
         also: further names that may have been meant, to be suggested where none is found.
 
     Raises:
-        InputError: it is neither, damaged, or learned on another observation than the world's; a colon behind who acts
-            in one way.
+        InputError: it is none of these, damaged, or learned on another observation than the world's; a colon behind who
+            acts in one way.
     """
     name, mode = _name_and_mode(policy)
     who = _find(name, world, also)
@@ -110,11 +111,24 @@ def _find(policy: str, world: Config, also: Sequence[str]) -> Who:
         return drivers.load_expert(world)
     if drivers.is_name(policy) and policy not in drivers.SHIPPED:
         return policy
+    if _is_from_outside(policy):
+        found = registry.imported("policy", policy)
+        try:
+            return who_drives(found() if isinstance(found, type) else found, world)
+        except TypeError as error:
+            raise InputError(f"policy '{policy}' is a class that takes arguments ({error}); name an object") from None
     folder = _folder_of(policy)
     if assets.is_expert(folder):
         return drivers.load_expert(world, folder)
     _require_folder(folder, also)
     return RunDirectory(folder).policy()
+
+
+def _is_from_outside(policy: str) -> bool:
+    """Whether it is written `module:attribute`; a mistyped mode behind somebody's name is not."""
+    who = policy.partition(":")[0]
+    is_written_so = registry.is_from_outside(policy) and not drivers.is_name(policy)
+    return is_written_so and not drivers.is_name(who) and not Path(who).is_dir()
 
 
 def doubts(policies: Sequence[str], world: Config) -> list[str]:
@@ -136,7 +150,11 @@ def doubts(policies: Sequence[str], world: Config) -> list[str]:
 def judges_of(policies: Iterable[str]) -> dict[str, RunDirectory]:
     """Return the runs of those policies that were learned, which may have a judge; see `learners.verdicts`."""
     named = {policy: _name_and_mode(policy)[0] for policy in policies}
-    learned = {policy: name for policy, name in named.items() if name in drivers.SHIPPED or not drivers.is_name(name)}
+    learned = {
+        policy: name
+        for policy, name in named.items()
+        if name in drivers.SHIPPED or not (drivers.is_name(name) or _is_from_outside(name))
+    }
     folders = {policy: _folder_of(name) for policy, name in learned.items()}
     return {policy: RunDirectory(folder) for policy, folder in folders.items() if not assets.is_expert(folder)}
 

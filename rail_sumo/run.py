@@ -267,7 +267,7 @@ def train(
     tables.write(out, overwrite=True)
     own = tables.summary[tables.summary["policy"] == config.train.learner]
     with whole_file(out / assets.MANIFEST) as partial:
-        partial.write_text(manifest(out, own.set_index("metric")["mean"], seed), encoding="utf-8")
+        partial.write_text(manifest(out, own.set_index("metric")["mean"], seed, run.inputs), encoding="utf-8")
     return tables
 
 
@@ -312,9 +312,9 @@ def describe(folder: Path, world: Config, command: str, **more: Any) -> None:
         folder: of the tables.
         world: where was driven.
         command: what was typed.
-        more: what else there is to tell, by name.
+        more: what else there is to tell, by name, or in place of these: more `files`.
     """
-    about = {"command": command, **more, "files": training.world_inputs(world), **_versions()}
+    about = {"command": command, "files": training.world_inputs(world), **more, **_versions()}
     for name, text in (
         (report.WORLD, dumps(training.located(world))),
         (report.ORIGIN, json.dumps(about, indent=2) + "\n"),
@@ -328,16 +328,18 @@ def _versions() -> dict[str, str]:
     return {"rail-sumo": assets.own_version(), "python": platform.python_version(), **others}
 
 
-def manifest(folder: Path, means: Mapping[str, float], seed: int) -> str:
+def manifest(folder: Path, means: Mapping[str, float], seed: int, inputs: Mapping[str, str]) -> str:
     """Return what tells how a driver's folder was made, as JSON.
 
     Args:
         folder: its files, whose SHA-256 it holds.
         means: of the evaluation, by metric.
         seed: of everything random.
+        inputs: the SHA-256 of the files that it follows from, by the keys that name them.
     """
     kept = [path for path in sorted(folder.iterdir()) if path.is_file() and path.name != assets.MANIFEST]
     written = {
+        "inputs": dict(inputs),
         "files": {path.name: assets.sha256(path) for path in kept},
         "seed": seed,
         **_versions(),

@@ -12,7 +12,7 @@ import json
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 from pathlib import Path
-from typing import Any
+from typing import Any, cast
 
 import numpy as np
 import safetensors.numpy
@@ -125,6 +125,11 @@ class RunDirectory:
         return int(self._about["seed"])
 
     @property
+    def inputs(self) -> Mapping[str, str]:
+        """The SHA-256 of every file that it reads, as they were when it was started, by the keys that name them."""
+        return cast(Mapping[str, str], self._about["inputs"])
+
+    @property
     def unfinished(self) -> str:
         """That it has done fewer iterations than it is to have; empty if it has done them.
 
@@ -172,7 +177,7 @@ class RunDirectory:
     def _made_of(self) -> str:
         """What its iterations follow from, as SHA-256."""
         fixed = {key: value for key, value in self.config.flat().items() if key not in MAY_CHANGE}
-        followed = json.dumps([fixed, self.seed, self._about["inputs"]], sort_keys=True)
+        followed = json.dumps([fixed, self.seed, self.inputs], sort_keys=True)
         return hashlib.sha256(followed.encode()).hexdigest()
 
     def save(self, checkpoint: Checkpoint) -> None:
@@ -205,7 +210,7 @@ class RunDirectory:
                 f"run directory '{self.path}' was started with {mismatch}; resume it as it was started, or start "
                 f"another with --out"
             )
-        for key, checksum in self._about["inputs"].items():
+        for key, checksum in self.inputs.items():
             if inputs.get(key) != checksum:
                 raise InputError(
                     f"the content of {key} has changed since run directory '{self.path}' was started; put it back as "

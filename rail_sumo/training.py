@@ -2,7 +2,7 @@
 
 import itertools
 import time
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from pathlib import Path
 
 import numpy as np
@@ -47,7 +47,7 @@ def learn(
     inputs = inputs_of(config)
     with rollout.workers(workers) as pool:  # before the run's folder is there: Ray may be missing
         if run is None:
-            for note in _doubts(config, demonstrations):
+            for note in (*doubts(config, demonstrations), *_other_expert(config)):
                 observer.note(note)
             run = RunDirectory.create(out, config, seed, inputs, _start(config, demonstrations, seed))
         else:
@@ -75,7 +75,7 @@ def learn(
     return run
 
 
-def _doubts(config: Config, demonstrations: Demonstrations) -> Iterator[str]:
+def doubts(config: Config, demonstrations: Demonstrations) -> Iterator[str]:
     """Yield what may keep a learner from its expert's level, though it can be learned."""
     if not learner_of(config).reads_demonstrations:
         return
@@ -90,7 +90,11 @@ def _doubts(config: Config, demonstrations: Demonstrations) -> Iterator[str]:
             f"(--network), or record the same driver here (rail-sumo expert record --driver) and name that file by "
             f"train.demonstrations"
         )
-    if config.train.demonstrations != "expert":
+
+
+def _other_expert(config: Config) -> Iterator[str]:
+    """Tell that the table may compare with somebody else than whom the learner was shown."""
+    if learner_of(config).reads_demonstrations and config.train.demonstrations != "expert":
         and_asks = f", whom {config.train.learner} asks too" if learner_of(config).asks_the_expert else ""
         yield (
             f"the table at the end compares with the expert that train.expert names{and_asks}; if another made the "
@@ -114,7 +118,10 @@ def resolved(config: Config) -> Config:
     learner = learner_of(config)
     iterations, mode = config.train.iterations, config.policy.mode
     if not learner.iterations and iterations not in ("default", 0):
-        raise InputError(f"learner '{config.train.learner}' has no iterations, got {iterations}; leave them out")
+        raise InputError(
+            f"learner '{config.train.learner}' has no iterations, got {iterations}; leave train.iterations out, or set "
+            "it to default"
+        )
     given = config.train
     return located(config).changed(
         train={
@@ -210,8 +217,15 @@ def _demonstrations_file(config: Config) -> Path:
 
 
 def inputs_of(config: Config) -> dict[str, str]:
-    """Return the SHA-256 of every file that a training with this configuration reads, by the key that names it."""
+    """Return the SHA-256 of every file that a training with this configuration reads, by the key that names it.
+
+    Modules from outside are among them.
+    """
     inputs = world_inputs(config)
+    for key, name in (("train.learner", config.train.learner), ("judge.loss", config.judge.loss)):
+        source = registry.source_of(name)
+        if source:
+            inputs[key] = assets.sha256(source)
     if learner_of(config).reads_demonstrations:
         inputs["train.demonstrations"] = assets.sha256(_demonstrations_file(config))
     if learner_of(config).asks_the_expert:
@@ -233,6 +247,22 @@ def world_inputs(config: Config) -> dict[str, str]:
     if others:
         inputs["traffic.additional"] = " ".join(map(assets.sha256, others))
     return inputs
+
+
+def changed_since(runs: Iterable[RunDirectory], world: Config) -> Iterator[str]:
+    """Yield a line for each run whose own road or demand drives in this world, with another content than it learned by.
+
+    Its own table is of the old content then.
+    """
+    now, named = world_inputs(world), located(world).flat()
+    for run in runs:
+        theirs = run.config.flat()
+        changed = [key for key in now if named[key] == theirs[key] and now[key] != run.inputs.get(key)]
+        if changed:
+            yield (
+                f"the content of {', '.join(changed)} has changed since '{run.path}' was trained: episodes are not "
+                "those of its own table"
+            )
 
 
 def expert_input(config: Config) -> dict[str, str]:

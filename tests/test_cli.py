@@ -51,7 +51,7 @@ DRIVERS = "(available: expert, keep, rail, random, road-expert, road-rail, rule,
 BAD = {
     "train none.toml": "cannot read configuration 'none.toml': No such file or directory (current folder: ",
     "train --set train.learner=sac": "learner 'sac' not found (available: ars, bc, dagger, gail, rail); one ",
-    "train --set train.learner=bc --set train.iterations=3": "learner 'bc' has no iterations, got 3; leave them out",
+    "train --set train.learner=bc --set train.iterations=3": "learner 'bc' has no iterations, got 3; leave train.itera",
     "reproduce table1 --seeds 0": "--seeds must be at least 1; got 0",
     "reproduce table1 --cells cells.parquet --quick": "--cells makes tables of what was driven before: leave out --s",
     "reproduce table1 --out file/out": "cannot write to 'file/out': '",

@@ -12,9 +12,10 @@ import pandas as pd
 import pytest
 from safetensors.numpy import load_file
 
-from rail_sumo import learners, registry
+from rail_sumo import learners, registry, roster
 from rail_sumo.config_file import load
 from rail_sumo.errors import InputError
+from rail_sumo.imitation.demonstrations import recorded_on
 from rail_sumo.imitation.losses import LOSSES
 from rail_sumo.records import MetaAction, Scene
 from rail_sumo.run_directory import RunDirectory
@@ -57,6 +58,47 @@ def test_the_driver_shown_drives_in_workers_and_keeps_to_the_right(shown):
     assert means["courteous", "refused_decisions"] == 0.0
 
 
+@pytest.mark.slow
+def test_the_driver_shown_is_driven_and_recorded_by_its_name(shown):
+    folder, _ = shown
+    brief = ["--set", "episode.duration_s=30", "--episodes", "2", "--workers", "2"]
+    main = "from rail_sumo import cli; cli.main()"
+    run(folder, "-c", main, "eval", "courteous:Courteous", "rule", *brief, "--out", "beside")
+    driven = pd.read_parquet(folder / "beside" / "episodes.parquet")
+    by_name = driven[driven["policy"] == "courteous:Courteous"]["speed_kmh"].tolist()
+    record = ["expert", "record", "--driver", "courteous:Courteous", "--out", "courteous.parquet"]
+    run(folder, "-c", main, *record, *brief)
+    assert pd.read_parquet(folder / "courteous.parquet")["allowed_keep"].all()
+    assert recorded_on(folder / "courteous.parquet") == ("highway5",)
+    (folder / "in_code.py").write_text(
+        "from courteous import Courteous\nfrom rail_sumo import config_file, run\n"
+        "world = config_file.load(None, ['episode.duration_s=30'])\n"
+        "print(*run.evaluate({'mine': Courteous()}, world, episodes=2, seed=0).episodes['speed_kmh'])\n"
+    )
+    assert [float(speed) for speed in run(folder, "in_code.py").split()] == by_name
+
+
+@pytest.mark.parametrize(
+    ("name", "message"),
+    [
+        (
+            "nowhere:Driver",
+            r"policy 'nowhere:Driver': No module named 'nowhere'; install it, or add its folder to PYTHON",
+        ),
+        ("math:pi", r"a driver is a name, a run's policy, or an object with senses and decide\(\); got 3\.14"),
+        ("fractions:Decimal.x", r"policy 'fractions:Decimal\.x' is neither a run directory nor a driver"),
+        (
+            "rail_sumo.drivers:Rule",
+            r"policy 'rail_sumo\.drivers:Rule' is a class that takes arguments \(.*adas.*; name ",
+        ),
+        ("rail:gredy", r"policy 'rail:gredy' is neither a run directory nor a driver; did you mean 'rail:"),
+    ],
+)
+def test_what_is_no_driver_of_ones_own_is_refused_in_one_line(name, message):
+    with pytest.raises(InputError, match=f"^{message}"):
+        roster.find_driver(name, load())
+
+
 def test_the_radar_shown_finds_the_nearest_ahead(shown, monkeypatch):
     folder, _ = shown
     monkeypatch.syspath_prepend(folder)
@@ -91,6 +133,11 @@ def test_the_learner_shown_learns_in_workers_and_is_resumed_to_the_same_policy(s
     rail_sumo(folder, again, "--workers", "1", "--set", "train.iterations=1")
     rail_sumo(folder, again, "--workers", "1", "--resume")
     assert (load_file(folder / "runs" / "again" / "policy.safetensors")["theta"] == policy["theta"]).all()
+    file = folder / "cem.py"
+    file.write_text(file.read_text().replace("N_ELITE, NOISE_STD = 4, 2, 0.1", "N_ELITE, NOISE_STD = 4, 2, 0.5"))
+    more = ["train", "--out", "runs/again", "--resume", "--set", "train.iterations=3"]
+    with pytest.raises(AssertionError, match=r"the content of train\.learner has changed since run directory"):
+        run(folder, "-c", "from rail_sumo import cli; cli.main()", *more)
 
 
 @pytest.mark.slow

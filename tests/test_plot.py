@@ -16,10 +16,10 @@ N_FEATURES = 48
 def run(tmp_path):
     """Make a run whose every figure was these values, iteration by iteration, but for columns of their own."""
 
-    def make(name, values, **own):
+    def make(name, values, seed=0, **own):
         shape = Shape(N_FEATURES, 2)
         clone = PolicyParameters(np.zeros(shape.size), shape, Whitening(np.zeros(N_FEATURES), np.ones(N_FEATURES)))
-        directory = RunDirectory.create(tmp_path / name, Config(), 0, {}, clone)
+        directory = RunDirectory.create(tmp_path / name, Config(), seed, {}, clone)
         rows = tuple(
             {column: float(value) for column in PROGRESS_COLUMNS}
             | {"iteration": number, "environment_steps": 1_000_000 * number, "seconds": 120.0 * number}
@@ -52,7 +52,8 @@ def test_against_time_the_axis_is_in_minutes(run):
 
 def test_runs_that_differ_by_their_seed_are_one_curve_with_a_confidence_band(run):
     runs = [
-        run(f"mine-seed{seed}", [value] * length) for seed, (value, length) in enumerate([(60, 3), (66, 2), (63, 3)])
+        run(f"mine-seed{seed}", [value] * length, seed=seed)
+        for seed, (value, length) in enumerate([(60, 3), (66, 2), (63, 3)])
     ]
     figure = plot.learning_curves(runs)
     *each, mean = lines(figure)
@@ -65,10 +66,14 @@ def test_runs_that_differ_by_their_seed_are_one_curve_with_a_confidence_band(run
 
 
 def test_groups_have_curves_of_their_own_and_are_named_in_the_legend(run):
-    runs = [run(name, [1, 2]) for name in ("two-layer-0", "two-layer-1", "one-layer-0")]
+    names = {"two-layer-0": 0, "two-layer-1": 1, "one-layer-0": 0, "r0": 0, "r1": 1, "again_0": 7, "again_1": 7}
+    runs = [run(name, [1, 2], seed=seed) for name, seed in names.items()]
     figure = plot.learning_curves(runs)
-    assert [text.get_text() for text in figure.legends[0].get_texts()] == ["two-layer (2 runs)", "one-layer"]
-    assert len({line.get_color() for line in figure.axes[0].lines}) == 2
+    assert [text.get_text() for text in figure.legends[0].get_texts()] == [
+        *("two-layer (2 runs)", "one-layer", "r (2 runs)"),
+        *("again_0", "again_1"),  # of one seed: no trainings independent of one another
+    ]
+    assert len({line.get_color() for line in figure.axes[0].lines}) == 5
 
 
 def test_the_judges_two_means_share_a_panel(run):

@@ -244,16 +244,18 @@ def test_the_terminal_shows_every_policy_with_its_ratio_within_100_columns():
     equal = ["1.0", "±", "0.0"]
     means = ["64.0", "±", "12.7", *equal, *equal, "1.0", "1.0", "1.00", "2"]
     assert lines[learned].split()[-len(means) :] == means
-    ratios = ["0.91", "±", "0.18", "1.00", "±", "0.00", "1.00", "±", "0.00"]  # of no other
+    ratios = [
+        f"{low}\N{EN DASH}{high}" for low, high in [("0.73", "1.10"), ("1.00", "1.00"), ("1.00", "1.00")]
+    ]  # their intervals; of no other
     assert lines[learned + 1].split()[-len(ratios) :] == ratios
     named = " ".join(re.split(r"  +", line.strip())[0] for line in lines[learned:expert])
     assert named == name  # whole, on however many lines
     assert lines[expert].split() == ["expert", "70.0", "±", "0.0", *equal, *equal, "1.0", "1.0", "1.00", "2"]
     assert not lines[expert + 1].strip()  # of itself it is no ratio
-    assert (
-        "means over 2 episodes of 0.0 km ± 95 % interval (fewer than 5 tell little); below, ratios to expert"
-        in " ".join(" ".join(lines).split())
+    told = (
+        "means over 2 episodes of 0.0 km ± 95 % interval (fewer than 5 tell little); below, 95 % intervals of ratios to"
     )
+    assert f"{told} expert" in " ".join(" ".join(lines).split())
 
 
 def test_the_terminal_shows_usual_figures_and_who_drove_within_100_columns():
@@ -292,6 +294,10 @@ def test_that_all_drove_alike_is_told():
     alike = rows("rule", [100.0, 60.0]) + rows("mine", [100.9, 59.9])
     (line,) = report.alike(report.episodes(alike))
     assert line.startswith("all drive every episode at the same speed, to within 1 %: ")
+    another = rows("other", [102.5, 60.0])
+    (line,) = report.alike(report.episodes(alike + another + rows("sumo", [80.0, 60.0]) + rows("keep", [100.2, 60.1])))
+    assert line.startswith("rule, mine, keep drive every episode at the same speed")  # though two others do not
+    assert not report.alike(report.episodes(alike + another))  # two of three may have learned the same
     apart = rows("rule", [100.0, 60.0]) + rows("mine", [101.5, 60.0])
     assert report.alike(report.episodes(apart)) == report.alike(report.episodes(rows("rule", [100.0]))) == []
 

@@ -202,7 +202,7 @@ def test_a_sweep_tells_by_type_and_where_vehicles_brake_hard(tmp_path):
     assert told["hard_brakings_per_vehkm"].tolist() == pytest.approx([0.5, 1.0, 1 / 3])
     by_type, by_edge = report_page._edges(edges)
     assert by_type.count("<tr>") == 1 + 3
-    assert re.findall(r'scope="col" class="\w+">(.*?)<', by_edge) == ["edge", "as they are", "rule 50%"]
+    assert re.findall(r'scope="col" class="\w+">(.*?)<', by_edge) == ["edge", "as they are", "rule at 50%"]
     assert re.findall(r'data-value="(.*?)"', by_edge) == ["0.75", "0.5"]  # on the ramp alone
     assert len(list(report_page._edges(edges.assign(hard_brakings=0)))) == 1
 

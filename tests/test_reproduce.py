@@ -1,6 +1,7 @@
 """The paper's experiments, on cells whose episodes are made up."""
 
 import itertools
+import json
 import re
 import shutil
 import subprocess
@@ -21,7 +22,7 @@ from rail_sumo.errors import InputError
 from rail_sumo.pictures import plot
 from rail_sumo.policy import PolicyParameters
 from rail_sumo.records import KMH, SECONDS_PER_STEP, MetaAction
-from rail_sumo.rollout import EVALUATION, traffic_seed
+from rail_sumo.rollout import EVALUATION, SILENT, traffic_seed
 from rail_sumo.run_directory import PROGRESS, Checkpoint, RunDirectory
 from rail_sumo.studies import experiment, reproduce
 from rail_sumo.studies.experiment import SYSTEMS, Cell, Experiment
@@ -167,6 +168,34 @@ def test_every_row_of_the_table_is_there_beside_the_papers(world, done, tmp_path
     assert "| rule driver | 68.0 |" in markdown
     assert markdown.count("| &emsp;in the paper | 70.4 | 45.0 | 15.0 | 2719.4 | -123.0 |") == 1  # of RAIL as trained
     assert "| &emsp;in the paper, of the expert's | 1.023 | 1.013 | 1.069 | 1.029 | 0.928 |" in markdown
+
+
+def test_elsewhere_the_papers_figures_are_not_set_beside_ours(world, done, tmp_path):
+    table = table1(world.changed(network={"file": "ring5"}), tmp_path, ("rail-2",), seeds=1)
+    assert table[["paper", "paper_ratio"]].isna().all(axis=None)
+    assert "in the paper" not in (tmp_path / "table1.md").read_text()
+
+
+def test_the_folder_tells_what_made_it(world, done, tmp_path):
+    table1(world, tmp_path, ("rule", "bc-2"), seeds=1, command="rail-sumo reproduce table1")
+    about = json.loads((tmp_path / "evaluation.json").read_text())
+    assert about["command"] == "rail-sumo reproduce table1"
+    shown = assets.expert("demonstrations.parquet", assets.expert_folder("shipped"))
+    assert about["files"]["train.demonstrations"] == assets.sha256(shown)
+    assert about["files"]["network.file"] == assets.sha256(assets.network("highway5"))
+    assert config_file.load(tmp_path / "world.toml") == training.located(world)
+
+
+def test_demonstrations_of_another_than_the_expert_are_told_of_beside_the_table(world, done, tmp_path, monkeypatch):
+    shown = assets.expert("demonstrations.parquet", assets.expert_folder("shipped"))
+    own, notes = world.changed(train={"demonstrations": str(shown)}), []
+    monkeypatch.setattr(type(SILENT), "note", lambda observer, text: notes.append(text))
+    table1(own, tmp_path / "own", ("rail-2",), seeds=1)
+    table1(world, tmp_path / "experts", ("rail-2",), seeds=1)
+    (told,) = notes
+    assert told.startswith("ratios and 'told apart' are to the expert that train.expert names; if another made")
+    assert told in (tmp_path / "own" / "table1.md").read_text()
+    assert told not in (tmp_path / "experts" / "table1.md").read_text()
 
 
 NAN = {name: [""] for name, kind in reproduce.TABLE_COLUMNS.items() if kind == "float64"}

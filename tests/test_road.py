@@ -464,6 +464,11 @@ def test_the_shipped_networks_pass_their_check_without_a_warning():
     assert not [told for name in assets.network_names() for told in road.warnings(road.load(name))]
 
 
+def test_it_warns_where_nobody_can_change_lanes(network):
+    (told,) = road.warnings(road.load(network(edge("a", lanes=1))))
+    assert told.startswith("every edge has one lane: nobody can change lanes or overtake")
+
+
 def test_it_warns_of_narrow_lanes(network):
     (narrow,) = road.warnings(road.load(network(edge("b", lanes=2, width=2.3))))
     assert "edge 'b' has a lane of 2.30 m" in narrow

@@ -329,6 +329,9 @@ def test_the_manifest_tells_how_a_run_was_made(trained):
     assert manifest["files"] == files
     assert POLICY in files
     assert manifest["seed"] == 1
+    assert manifest["inputs"]["network.file"] == assets.sha256(assets.network("highway5"))
+    shown = RunDirectory(trained).config.train.demonstrations
+    assert manifest["inputs"]["train.demonstrations"] == assets.sha256(Path(shown))
     summary = pd.read_csv(trained / "summary.csv")
     speed = summary[(summary["policy"] == "rail") & (summary["metric"] == "speed_kmh")]["mean"].item()
     assert manifest["evaluation"]["speed_kmh"] == round(speed, 3)
@@ -355,6 +358,18 @@ def test_a_run_knows_its_files_from_any_folder(small, driven, tmp_path, monkeypa
     assert world.varied.networks == ("ring5",)
     training.inputs_of(world)  # all are found
     run.train(world, Path("../there/run"), seed=1, resume=True)
+
+
+def test_a_run_whose_demand_has_changed_since_is_told_of_where_it_drives_in_it(small, driven, tmp_path):
+    demand = tmp_path / "my.rou.xml"
+    demand.write_text("<routes/>")
+    run.train(small.changed(traffic={"routes": (str(demand),)}), tmp_path / "run", seed=1)
+    learned = RunDirectory(tmp_path / "run")
+    assert not list(training.changed_since([learned], learned.config))
+    demand.write_text("<routes><!-- more --></routes>")
+    (told,) = training.changed_since([learned], learned.config)
+    assert told.startswith(f"the content of traffic.routes has changed since '{tmp_path / 'run'}' was trained: ")
+    assert not list(training.changed_since([learned], learned.config.changed(traffic={"routes": ()})))  # another world
 
 
 @pytest.mark.parametrize("file", [POLICY, CLONE, CHECKPOINT])

@@ -16,7 +16,7 @@ from rail_sumo.errors import InputError
 from rail_sumo.pictures import plot
 from rail_sumo.studies import sweep
 from rail_sumo.studies.sweep import Sweep
-from rail_sumo.tables import report, shares, traffic
+from rail_sumo.tables import cautions, report, shares, traffic
 from rail_sumo.tables.shares import AS_THEY_ARE, TOLD, compared, summarised, told_table
 
 ROUTES = """<routes>
@@ -160,7 +160,7 @@ def test_a_road_that_fills_up_in_the_period_is_told_of_whoever_drives(unfinished
         counts | {"driver": "sumo", "share": 0.0, "seed": 0, "unfinished": 100, "arrived": 60},
         counts | {"driver": "rule", "share": 0.5, "seed": 0, "unfinished": unfinished, "arrived": 160 - unfinished},
     ])  # fmt: skip
-    notes = list(sweep._growth(table))
+    notes = list(cautions.growth(table))
     assert bool(notes) == told
     if told:
         assert notes[0].startswith(
@@ -176,9 +176,9 @@ def test_a_road_that_locks_with_some_seeds_is_told_of():
         about | {"driver": "rule", "share": 0.5, "seed": 0, "teleports": 2},
         about | {"driver": "rule", "share": 0.5, "seed": 3, "teleports": 1},
     ])  # fmt: skip
-    (note,) = sweep._locks(table)
+    (note,) = cautions.locks(table)
     assert "with the seeds rule at 50% 0, 3: the road may be locked there" in note
-    assert not list(sweep._locks(table[table["teleports"] == 0]))
+    assert not list(cautions.locks(table[table["teleports"] == 0]))
 
 
 @pytest.mark.parametrize(("driver", "told"), [("acc", True), ("rule", False)])

@@ -210,13 +210,14 @@ def _require_no_recordings(policies: list[str]) -> None:
 
 def _found(policies: list[str], overrides: list[str], config_path: Path | None) -> "tuple[Config, dict[str, Who]]":
     """Return the world to drive in and who drives, by the names given, after telling what those leave in doubt."""
-    from rail_sumo import roster
+    from rail_sumo import roster, training
 
     twice = {policy for policy in policies if policies.count(policy) > 1}
     if twice:
         raise InputError(f"each policy is driven once; named twice: {', '.join(sorted(twice))}")
     world = roster.world(policies, overrides, config=config_path)
     who = {policy: roster.find_driver(policy, world) for policy in policies}
-    for line in roster.doubts(policies, world):
+    learned = roster.judges_of(policies).values()
+    for line in (*roster.doubts(policies, world), *training.changed_since(learned, world)):
         tell(line)
     return world, who

@@ -26,7 +26,8 @@ NETWORK = "A .net.xml, a .sumocfg with its demand, or a shipped network's name."
 NetworkFile = Annotated[str | None, typer.Option(metavar="FILE", help=NETWORK)]
 Routes = Annotated[list[str] | None, typer.Option(metavar="FILE", help="Your own demand; repeatable.")]
 POLICY = (
-    "A run, an expert's folder, or expert, rail, road-expert, road-rail, rule, sumo, sumo:TYPE, keep or random. "
+    "A run, an expert's folder, or expert, rail, road-expert, road-rail, rule, sumo, sumo:TYPE, keep or random; "
+    "module:attribute of your own. "
     "What was learned acts as it was trained, or as RUN:argmax or RUN:sampled."
 )
 SEED = "Everything random follows from it."

@@ -3,7 +3,7 @@
 import sys
 from dataclasses import replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Literal
+from typing import Annotated, Literal
 
 import typer
 from rich.console import Console
@@ -22,9 +22,6 @@ from rail_sumo.cli.options import (
 )
 from rail_sumo.cli.progress import progress_bars
 from rail_sumo.errors import InputError
-
-if TYPE_CHECKING:
-    pass
 
 
 @app.command(rich_help_panel="Study")
@@ -56,7 +53,9 @@ def reproduce(
     systems = reproduce.chosen(only)
     try:
         with progress_bars() as bars:
-            experiment = Experiment(chosen, out, n_seeds, episodes, quick=quick, workers=n_workers, observer=bars)
+            experiment = Experiment(
+                chosen, out, n_seeds, episodes, quick=quick, workers=n_workers, observer=bars, command=typed()
+            )
             if what == "table1":
                 if cells:
                     reproduce.table1_of(cells, out, systems, trajectories=chosen.train.trajectories)

@@ -45,8 +45,9 @@ def learning_curves(runs: Sequence[Path], against: Against = "steps") -> "Figure
     """Draw how training went, over the rollouts that it went by, in training traffic: those of perturbed policies for
     a random search, of one that draws its actions for GAIL.
 
-    Runs in one folder whose names differ in a number at their end alone (`mine-seed0`, `mine-seed1`) are one curve:
-    their mean, with the 95 % confidence band of the mean (Student's t) and each run as a thin line.
+    Runs in one folder whose names differ in a number at their end alone (`mine-seed0`, `mine-seed1`), with a seed of
+    its own each, are one curve: their mean, with the 95 % confidence band of the mean (Student's t) and each run as a
+    thin line.
 
     Args:
         runs: run directories.
@@ -58,9 +59,7 @@ def learning_curves(runs: Sequence[Path], against: Against = "steps") -> "Figure
     require_matplotlib()
     from matplotlib.figure import Figure
 
-    groups: dict[Path, list[pd.DataFrame]] = {}
-    for path, run in {run.resolve(): run for run in runs}.items():
-        groups.setdefault(group_of(path), []).append(_progress(run))
+    groups = {at: [_progress(run) for run in of_group] for at, of_group in _grouped(runs).items()}
     colours = [colour for colour, _ in zip(itertools.cycle(_COLOURS), groups, strict=False)]
     column, unit, label = _ACROSS[against]
     figure = Figure(figsize=(9.0, 6.0), layout="constrained")
@@ -152,8 +151,20 @@ def require_matplotlib() -> None:
 
 
 def group_of(run: Path) -> Path:
-    """Return the run's path without the seed at its end."""
-    return run.with_name(re.sub(r"-(seed)?\d+$", "", run.name))
+    """Return the run's path without the number at its end."""
+    return run.with_name(re.sub(r"(?<=.)[-_]?(seed)?\d+$", "", run.name))
+
+
+def _grouped(runs: Sequence[Path]) -> dict[Path, list[Path]]:
+    """Return the runs that become one curve; of one seed they are no trainings independent of one another."""
+    groups: dict[Path, list[Path]] = {}
+    for path, run in {run.resolve(): run for run in runs}.items():
+        groups.setdefault(group_of(path), []).append(run)
+    curves: dict[Path, list[Path]] = {}
+    for at, of_group in groups.items():
+        seeds = {RunDirectory(run).seed for run in of_group}
+        curves |= {at: of_group} if len(seeds) == len(of_group) else {run: [run] for run in of_group}
+    return curves
 
 
 def save(figure: "Figure", out: Path, *, overwrite: bool = False) -> None:

@@ -21,7 +21,7 @@ from rail_sumo.pictures import plot, plot_episodes
 from rail_sumo.records import MetaAction
 from rail_sumo.run_directory import CLONE, CONFIG, PROGRESS
 from rail_sumo.tables.report import CONTACTS, DECISIONS, EPISODES, ORIGIN, SUMMARY, WORLD
-from rail_sumo.tables.shares import EDGES, HEADINGS, TOLD, rates
+from rail_sumo.tables.shares import ARM, EDGES, HEADINGS, TOLD, called, rates
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -233,13 +233,7 @@ def _sweep(folder: Path) -> Iterator[str]:
 
 def _edges(edges: pd.DataFrame) -> Iterator[str]:
     """Yield how a sweep's types of vehicles drove, and where there were most hard brakings."""
-    about = edges[["driver", "setting", "share"]].itertuples(index=False)
-    edges = edges.assign(
-        arm=[
-            " ".join(filter(None, (driver, setting, f"{share:.0%}"))) if share else f"as they are {setting}".strip()
-            for driver, setting, share in about
-        ]
-    )
+    edges = edges.assign(arm=[called(*arm) for arm in edges[ARM].itertuples(index=False)])
     short = {measure: told.heading for measure, told in TOLD.items()}
     short |= {"vehkm": "veh km", "drac_above_3_4_per_vehkm": "DRAC > 3.4 m/s², per veh km"}
     caption = "All vehicles of a type, all seeds together."

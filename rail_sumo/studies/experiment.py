@@ -127,6 +127,18 @@ class Experiment:
     """How many cells at once, each in a process of its own."""
     observer: Observer = SILENT
     """Receives progress, cell by cell."""
+    command: str = ""
+    """What was typed; it is kept beside the tables."""
+
+    @property
+    def notes(self) -> tuple[str, ...]:
+        """What to know of whoever everything is compared with."""
+        if self.config.train.demonstrations == "expert":
+            return ()
+        return (
+            "ratios and 'told apart' are to the expert that train.expert names; if another made the demonstrations, "
+            "compare learners with that one by: rail-sumo eval RUN... DRIVER --reference DRIVER",
+        )
 
     def drive(self, grid: Iterable[tuple[str, int]]) -> pd.DataFrame:
         """Bring a cell for every seed and every (system, trajectories) to its end; write `cells` into `out`.
@@ -148,9 +160,13 @@ class Experiment:
         drivers.require_same_senses(drivers.load_expert(self.config), self.config, "the expert of every ratio")
         systems = list(grid)
         work = [self._work(Cell(*system, seed)) for seed in range(self.seeds) for system in systems]
-        training.demonstrations_of(max(work, key=lambda one: one.cell.trajectories).config)  # are there so many?
+        shown_most = max(work, key=lambda one: one.cell.trajectories).config
+        shown = training.demonstrations_of(shown_most)  # are there so many?
         for one in work:
             one.check()
+        notes = [*training.doubts(shown_most, shown), *self.notes]
+        for note in notes:
+            self.observer.note(note)
         self.observer.start("cells", len(work))
         driven = []
         with rollout.workers(self.workers) as pool:
@@ -158,6 +174,8 @@ class Experiment:
                 driven.append(episodes)
                 self.observer.advance({})
         report.write(self.out, cells=_typed(self._all_finished()), overwrite=True)
+        files = training.inputs_of(self.config) | training.expert_input(self.config)
+        run.describe(self.out, self.config, self.command, files=files, **({"notes": notes} if notes else {}))
         return _typed(driven)
 
     def _work(self, cell: Cell) -> "_Work":

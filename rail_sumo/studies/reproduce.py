@@ -8,6 +8,7 @@ import numpy as np
 import pandas as pd
 import pyarrow as pa
 
+from rail_sumo.config import Config
 from rail_sumo.errors import InputError, did_you_mean
 from rail_sumo.files import check_folder, whole_file, writing
 from rail_sumo.pictures import plot
@@ -26,6 +27,8 @@ PAPER = {
     "expert": (68.83, 44.48, 14.04, 2642.11, -132.52),
 }
 """Table 1 of the paper, by system, in the order of `PAPER_METRICS`."""
+_USUAL = Config()
+_PAPERS_WORLD = _USUAL.network, _USUAL.traffic, _USUAL.episode, _USUAL.varied
 
 FIGURES = ("rail-2", "rail-1", "gail-2", "bc-2")
 """The curves of Figures 3 and 4, each in the mode it was trained in."""
@@ -76,7 +79,9 @@ def table1(experiment: Experiment, systems: Sequence[str] = tuple(SYSTEMS)) -> p
     """
     n_shown = experiment.config.train.trajectories
     grid = [(name, n_shown if SYSTEMS[name].trains else 0) for name in _with_the_expert(systems)]
-    return _written(experiment.drive(grid), experiment.out)
+    own = experiment.config
+    as_the_paper = (own.network, own.traffic, own.episode, own.varied) == _PAPERS_WORLD
+    return _written(experiment.drive(grid), experiment.out, as_the_paper=as_the_paper, notes=experiment.notes)
 
 
 def table1_of(
@@ -133,12 +138,15 @@ def _with_the_expert(systems: Sequence[str]) -> list[str]:
     return [name for name in SYSTEMS if name in systems or name == report.EXPERT]
 
 
-def _written(cells: pd.DataFrame, out: Path) -> pd.DataFrame:
+def _written(cells: pd.DataFrame, out: Path, *, as_the_paper: bool = True, notes: Sequence[str] = ()) -> pd.DataFrame:
+    """Write the table, with the paper's figures where it was driven as there."""
     table = compare(cells)
+    if not as_the_paper:
+        table[["paper", "paper_ratio"]] = np.nan
     with whole_file(out / "table1.csv") as partial:
         table.to_csv(partial, index=False)
     with whole_file(out / "table1.md") as partial:
-        partial.write_text(_markdown(table, cells["episode"].nunique()), encoding="utf-8")
+        partial.write_text(_markdown(table, cells["episode"].nunique(), notes), encoding="utf-8")
     return table
 
 
@@ -253,7 +261,7 @@ _LABELS = {
 }
 
 
-def _markdown(table: pd.DataFrame, n_episodes: int) -> str:
+def _markdown(table: pd.DataFrame, n_episodes: int, more: Sequence[str]) -> str:
     """Return means, ratios of means to the expert's with intervals, and the paper's beside them."""
     headings = [*_LABELS.values(), "refused decisions", "told apart", "contacts"]
     lines = [_line("", headings), "| --- |" + " ---: |" * len(headings)]
@@ -270,12 +278,12 @@ def _markdown(table: pd.DataFrame, n_episodes: int) -> str:
         ratios = [with_interval(*row) for row in by_metric[["ratio", "ratio_low", "ratio_high"]].to_numpy()]
         if system != report.EXPERT:
             lines.append(_line("&emsp;of the expert's", [*ratios, "", "", ""]))
-        if system in PAPER and rows["as_trained"].all():
+        if by_metric["paper"].notna().any() and rows["as_trained"].all():
             lines.append(_line("&emsp;in the paper", [*by_metric["paper"].map("{:.1f}".format), "", "", ""]))
             if system != report.EXPERT:
                 shares = by_metric["paper_ratio"].map("{:.3f}".format)
                 lines.append(_line("&emsp;in the paper, of the expert's", [*shares, "", "", ""]))
-    return "\n".join([*lines, "", *_notes(table, n_episodes)]) + "\n"
+    return "\n".join([*lines, "", *_notes(table, n_episodes), *(line for note in more for line in ("", note))]) + "\n"
 
 
 _NOTE = (
@@ -283,8 +291,7 @@ _NOTE = (
     "training's traffic: {n_episodes}. Means; below them, ratios of means to the expert's on the same traffic, with "
     "95 % intervals: over trainings, and over episodes of drivers that do not train. Told apart: how well a fresh "
     "classifier tells the decisions from the expert's, 0.5 being not at all; the expert's own is from its decisions "
-    "on other traffic. Contacts: in how many of the episodes the host hit anything or was hit. The paper's are means "
-    "of 16 episodes."
+    "on other traffic. Contacts: in how many of the episodes the host hit anything or was hit."
 )
 
 
@@ -292,7 +299,8 @@ def _notes(table: pd.DataFrame, n_episodes: int) -> list[str]:
     seeds = table.loc[table["trainings"] > 0, "trainings"]
     fewest, most = (seeds.min(), seeds.max()) if len(seeds) else (0, 0)
     trainings = f"{fewest}" if fewest == most else f"{fewest} to {most}"
-    notes = [_NOTE.format(trainings=trainings, n_episodes=n_episodes)]
+    papers = " The paper's are means of 16 episodes." if table["paper"].notna().any() else ""
+    notes = [_NOTE.format(trainings=trainings, n_episodes=n_episodes) + papers]
     if 0 < fewest < report.FEW:
         notes += ["", f"**Fewer than {report.FEW} trainings**: the intervals are right but very wide."]
     return notes

@@ -32,7 +32,7 @@ from rail_sumo.pictures import plot
 from rail_sumo.rollout import EVALUATION, SILENT, Observer, Who, traffic_seed
 from rail_sumo.run_directory import CONFIG
 from rail_sumo.studies import cells
-from rail_sumo.tables import report, traffic, warm_up
+from rail_sumo.tables import cautions, report, traffic, warm_up
 from rail_sumo.tables.shares import (
     AS_THEY_ARE,
     EDGE_COLUMNS,
@@ -43,7 +43,6 @@ from rail_sumo.tables.shares import (
     TRAFFIC_COLUMNS,
     Row,
     compared,
-    of_all_vehicles,
     summarised,
     told_rows,
     told_table,
@@ -57,10 +56,6 @@ FIGURES = "figures"
 """The folder of its pictures."""
 SECTIONS, PERIOD = ("network", "traffic", "adas", "lidar", "observation"), "episode.decision_period_s"
 """What may be swept over beside the share: numbers of these sections, and this one."""
-ARM, MOST_TOLD = ["driver", "setting", "share"], 4
-"""What runs have in common that differ by their seed; notes name so many groups of runs at most."""
-GROWN, GROWN_BY = 10.0, 0.2
-"""A road fills up where there are so many vehicles more at the end of the period, and by this share of those before."""
 FOUND_OVER, FOUND_WITHIN_S = 2.0, 1200.0
 """To find the warm-up the traffic is watched for so many times the period that counts, and no less long than this."""
 
@@ -125,7 +120,7 @@ class Sweep:
         table = report.typed(pd.concat(driven, ignore_index=True), TRAFFIC_COLUMNS)
         if not table.loc[table["vehicles"] == traffic.DRIVEN, "n_vehicles"].any():
             raise InputError("no car of the share was on the road in the period; change traffic.begin_s or --duration")
-        for note in (*_backlog(table), *_growth(table), *_locks(table)):
+        for note in cautions.of_runs(table):
             notes.append(note)
             self.observer.note(note)
         edges = pd.concat([pd.read_parquet(one.edges_file) for one in work], ignore_index=True)
@@ -275,53 +270,6 @@ class Sweep:
     def _at(self, setting: str) -> str:
         """Return where in the sweep something holds, to be read on after what it is."""
         return f" at {self.key} = {setting}" if setting else ""
-
-
-def _backlog(table: pd.DataFrame) -> Iterator[str]:
-    """Tell where vehicles found no room to enter, which no mean of those on the road shows."""
-    waiting = of_all_vehicles(table).groupby(ARM)["waiting"].mean()
-    if waiting.max() >= 1.0:
-        yield (
-            f"vehicles still wait for room to enter at the end, {waiting.min():.0f} to {waiting.max():.0f} of them in "
-            f"the mean over seeds (column waiting): where that differs, speeds are of different traffic"
-        )
-
-
-def _growth(table: pd.DataFrame) -> Iterator[str]:
-    """Tell where more vehicles came than left, so that the figures depend on when the period begins and ends."""
-    on_road = of_all_vehicles(table).groupby(ARM)[["unfinished", "inserted", "arrived"]].mean()
-    ends = on_road["unfinished"]
-    begins = ends - on_road["inserted"] + on_road["arrived"]
-    growth = ends - begins
-    grown = growth[(growth >= GROWN) & (growth > GROWN_BY * begins)].sort_values(ascending=False)
-    if len(grown):
-        told = [f"{_arm(*arm)} from {begins[arm]:.0f} to {ends[arm]:.0f}" for arm in grown.index[:MOST_TOLD]]
-        more = f" and {len(grown) - MOST_TOLD} more" if len(grown) > MOST_TOLD else ""
-        yield (
-            f"the road fills up in the period, by vehicles in the mean over seeds: {'; '.join(told)}{more}: figures "
-            "depend on when it begins and ends"
-        )
-
-
-def _locks(table: pd.DataFrame) -> Iterator[str]:
-    """Tell where SUMO took vehicles off the road that had stood for too long, as where it is locked."""
-    locked = of_all_vehicles(table).query("teleports > 0")
-    if len(locked):
-        told = [
-            f"{_arm(driver, setting, share)} {', '.join(map(str, of_arm['seed']))}"
-            for (driver, setting, share), of_arm in locked.groupby(ARM, sort=False)
-        ]
-        more = f" and {len(told) - MOST_TOLD} more" if len(told) > MOST_TOLD else ""
-        yield (
-            f"SUMO took vehicles off the road that had stood too long (column teleports), with the seeds "
-            f"{'; '.join(told[:MOST_TOLD])}{more}: the road may be locked there, and means are of unlike runs"
-        )
-
-
-def _arm(driver: str, setting: str, share: float) -> str:
-    """Return what a group of runs is called."""
-    who = "as they are" if driver == AS_THEY_ARE else f"{driver} at {share:.0%}"
-    return f"{who}, {setting}" if setting else who
 
 
 class Tables(NamedTuple):

@@ -145,6 +145,8 @@ _TOLD = {
 }
 ALIKE = 0.01
 """Speeds that differ by less than this share are told to be the same."""
+FEWEST_ALIKE = 3
+"""Where not all policies are alike, so many are told to be: two may well have learned the same."""
 WIDE = 100
 """How many columns the whole table takes, if its figures are not too long."""
 NAME_WIDTH = 14
@@ -153,6 +155,8 @@ NAME_WIDTH = 14
 
 def table(summary: pd.DataFrame, *, width: int = WIDE) -> Table:
     """Return the table for the terminal, a row per policy: means ± half the 95 % interval; dimmed below, ratios.
+
+    Of a ratio the interval is shown, which need not lie evenly around it; the ratio where it has none.
 
     The last column counts the contacts, in which the host hit anything or was hit; either ends an episode. The rest is
     in the files.
@@ -191,7 +195,8 @@ def _table(summary: pd.DataFrame, told: dict[str, tuple[str, int]], *, has_inter
         episodes = f"one episode of {km}: no interval"
     elif n < FEW:
         episodes += f" (fewer than {FEW} tell little)"
-    below = f"; below, ratios to {escape(reference)}" if compared else ""
+    ratios = "95 % intervals of ratios" if has_intervals and n > 1 else "ratios"
+    below = f"; below, {ratios} to {escape(reference)}" if compared else ""
     shown = Table(box=SIMPLE_HEAD, caption=episodes + below)
     shown.add_column("policy", overflow="fold", min_width=NAME_WIDTH)
     for heading in (*_COMPARED, *told, "contacts"):
@@ -200,12 +205,15 @@ def _table(summary: pd.DataFrame, told: dict[str, tuple[str, int]], *, has_inter
         cells = []
         for metric, decimals in _COMPARED.values():
             row = by_metric.loc[(policy, metric)]
-            mean, ratio = (row["mean"], row["low"], row["high"]), (row["ratio"], row["ratio_low"], row["ratio_high"])
-            if not has_intervals:
-                mean, ratio = (mean[0], np.nan, np.nan), (ratio[0], np.nan, np.nan)
-            cell = _with_interval(*mean, decimals)
-            if compared and policy != reference and np.isfinite(ratio[0]):
-                cell += f"\n[dim]{_with_interval(*ratio, 2)}[/]"
+            cell = f"{row['mean']:.{decimals}f}"
+            if has_intervals and np.isfinite(row["high"]):
+                cell += f" ± {(row['high'] - row['low']) / 2:.{decimals}f}"
+            if compared and policy != reference and np.isfinite(row["ratio"]):
+                has_own = has_intervals and np.isfinite(row["ratio_high"])
+                ratio = (
+                    f"{row['ratio_low']:.2f}\N{EN DASH}{row['ratio_high']:.2f}" if has_own else f"{row['ratio']:.2f}"
+                )
+                cell += f"\n[dim]{ratio}[/]"
             cells.append(cell)
         cells += [f"{by_metric.loc[(policy, metric), 'mean']:.{decimals}f}" for metric, decimals in told.values()]
         contacts = sum(by_metric.loc[(policy, metric), "mean"] for metric in CONTACTS) * n
@@ -241,22 +249,28 @@ def cut_short(episodes: pd.DataFrame) -> list[str]:
 
 
 def alike(episodes: pd.DataFrame) -> list[str]:
-    """Return a line that says so where all policies drove every episode at the same speed, to within `ALIKE`.
+    """Return a line that says so where all policies, or three, drove every episode at the same speed to within `ALIKE`.
 
     Args:
         episodes: the `episodes` table.
     """
     speeds = episodes.pivot(index="episode", columns="policy", values="speed_kmh").astype("float64").dropna()
-    if len(speeds.columns) < 2 or speeds.empty or (speeds.max(axis=1) > speeds.min(axis=1) * (1 + ALIKE)).any():
+    if len(speeds.columns) < 2 or speeds.empty:
         return []
+    policies = [name for name in episodes["policy"].unique() if name in speeds]
+    groups = ([other for other in policies if _are_close(speeds[[name, other]])] for name in policies)
+    most = max((group for group in groups if _are_close(speeds[group])), key=len, default=[])
+    if len(most) < min(len(policies), FEWEST_ALIKE):
+        return []
+    who = "all" if len(most) == len(policies) else ", ".join(most)
     return [
-        f"all drive every episode at the same speed, to within {100 * ALIKE:g} %: the road or the host's own vehicle "
+        f"{who} drive every episode at the same speed, to within {100 * ALIKE:g} %: the road or the host's own vehicle "
         f"may leave no choice, see rail-sumo network check"
     ]
 
 
-def _with_interval(value: float, low: float, high: float, decimals: int) -> str:
-    return f"{value:.{decimals}f}" + (f" ± {(high - low) / 2:.{decimals}f}" if np.isfinite(high) else "")
+def _are_close(speeds: pd.DataFrame) -> bool:
+    return bool((speeds.max(axis=1) <= speeds.min(axis=1) * (1 + ALIKE)).all())
 
 
 def typed(rows: Iterable[dict[str, Any]] | pd.DataFrame, columns: dict[str, str]) -> pd.DataFrame:

@@ -41,6 +41,8 @@ EDGE_COLUMNS = {
 """Columns of the `edges` table: a row per driver, setting, share, seed, kind and type of vehicles, and edge."""
 EDGES = "edges.parquet"
 """The file of that table, which has no CSV: it may be long."""
+ARM = ["driver", "setting", "share"]
+"""The columns that are the same in runs which differ by their seed alone."""
 MEASURED = tuple(traffic.MEASURES)
 _OF_SEEDS = {
     "driver": "string",
@@ -122,6 +124,12 @@ def told_once(table: pd.DataFrame) -> pd.DataFrame:
 def of_all_vehicles(table: pd.DataFrame) -> pd.DataFrame:
     """Return the rows of the `traffic` table that are of all vehicles, each run's once."""
     return told_once(table[table["vehicles"] == traffic.ALL])
+
+
+def called(driver: str, setting: str, share: float) -> str:
+    """Return what runs that differ by their seed alone are called: the values of `ARM` as people read them."""
+    who = f"{driver} at {share:.0%}" if share and driver != AS_THEY_ARE else "as they are"
+    return f"{who}, {setting}" if setting else who
 
 
 def rates(edges: pd.DataFrame, by: list[str]) -> pd.DataFrame:

@@ -151,6 +151,8 @@ def read(file: str) -> "_Reader":
 
 def warnings(road: Road) -> Iterator[str]:
     """Tell what makes it a poor course."""
+    if all(len(edge.lanes) == 1 for edge in road.edges):
+        yield "every edge has one lane: nobody can change lanes or overtake, and drivers differ by their speed alone"
     for edge in road.edges:
         if 0.0 in (*edge.to_left_m[:-1], *edge.to_right_m[1:]):
             yield f"lines on edge '{edge.id}' forbid some lane changes; the host will not make them"
