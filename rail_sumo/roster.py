@@ -9,7 +9,7 @@ from rail_sumo.config import Config
 from rail_sumo.errors import InputError, did_you_mean
 from rail_sumo.policy import ARGMAX, SAMPLED, PolicyParameters
 from rail_sumo.rollout import Who, driver_of
-from rail_sumo.run_directory import CONFIG, RunDirectory
+from rail_sumo.run_directory import CONFIG, POLICY, RunDirectory
 from rail_sumo.tables import report
 
 INSTEAD = "acc"
@@ -83,6 +83,22 @@ def find_driver(policy: str, world: Config, *, also: Sequence[str] = (AS_A_TYPE,
     if not isinstance(who, PolicyParameters):
         raise InputError(f"'{name}' acts in one way; leave out ':{mode}'")
     return who.acting(mode)
+
+
+def content_of(policy: str, world: Config) -> str:
+    """Return the SHA-256 of the file that tells what is driven under a name: weights, or a module; "" for one of ours.
+
+    Raises:
+        InputError: as of `find_driver`.
+    """
+    name, _ = _name_and_mode(policy)
+    if _is_from_outside(name):
+        source = registry.source_of(name)
+        return assets.sha256(source) if source else ""
+    if drivers.is_name(name) and name not in (report.EXPERT, *drivers.SHIPPED):
+        return ""
+    folder = assets.expert_folder(world.train.expert) if name == report.EXPERT else _folder_of(name)
+    return assets.sha256(folder / (assets.EXPERT_POLICY if assets.is_expert(folder) else POLICY))
 
 
 def who_drives(given: Who, world: Config) -> Who:

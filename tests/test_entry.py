@@ -133,6 +133,28 @@ def test_with_a_course_only_cars_that_drive_along_it_are_replaced(make, tmp_path
         assert libsumo.vehicle.getRoute(env.host_name) == ("short",)
 
 
+def test_a_course_may_name_the_ends_alone_and_is_driven_in_its_order(make, tmp_path):
+    flows = [
+        f'<flow id="{"".join(way)}" begin="0" end="300" period="9" from="{way[0]}" to="{way[1]}" departLane="free"/>'
+        for way in (("main1", "main4"), ("on1", "main4"), ("main1", "off"))
+    ]
+    path = tmp_path / "onramp.rou.xml"
+    path.write_text(f"<routes>{''.join(flows)}</routes>")
+    for course in (("on1", "main4"), ("main1", "off")):
+        env = make(
+            world(network={"file": "onramp", "course": course}, traffic={"routes": [str(path)], "host": "replaces"})
+        )
+        env.reset(seed=0)
+        assert env.host_name.startswith("".join(course))
+    env = make(
+        world(
+            network={"file": "onramp", "course": ("off", "main1")}, traffic={"routes": [str(path)], "host": "replaces"}
+        )
+    )
+    with pytest.raises(InputError, match=r"over the edges of network\.course in their order|no way for cars leads"):
+        env.reset(seed=0)
+
+
 def test_a_demand_that_ends_within_the_warm_up_is_entered_while_it_departs(make, tmp_path):
     env = make(on_highway3(demand(tmp_path, *rows(*["highway"] * 4))))
     env.reset(seed=0)

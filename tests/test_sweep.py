@@ -2,7 +2,10 @@
 
 import json
 import math
+import os
 import re
+import subprocess
+import sys
 from dataclasses import replace
 
 import numpy as np
@@ -90,6 +93,28 @@ def test_one_and_two_workers_write_the_same_and_what_is_missing_is_driven_again(
         assert (once / name).read_bytes() == (twice / name).read_bytes()
     driven = {cell for cell in cells if cell.stat().st_mtime_ns != kept[cell]}
     assert driven == set(cells[:4])
+
+
+def test_what_a_learned_driver_has_driven_is_known_again_by_another_process(demand):
+    """The order of a set of strings, such as of the fields of a configuration that are set, is another in each."""
+    named = ("rail", "road-expert", "rule")
+    told = (
+        "from pathlib import Path; from rail_sumo import config_file; from rail_sumo.studies.sweep import Sweep; "
+        f"world = config_file.load(None, ['network.file=highway3', 'traffic.routes=[\"{demand}\"]']); "
+        f"print([one.made_of for one in Sweep(world, {named}, (0.5,), Path('out'), seeds=1)._work()])"
+    )
+    first, second = (
+        subprocess.run(
+            [sys.executable, "-c", told],
+            env=os.environ | {"PYTHONHASHSEED": seed},
+            capture_output=True,
+            text=True,
+            check=True,
+        ).stdout
+        for seed in ("1", "2")
+    )
+    assert first == second
+    assert assets.sha256(assets.driver("rail") / "policy.safetensors") in first
 
 
 def test_runs_of_another_world_or_period_are_kept_and_told_of(world, tmp_path):

@@ -114,9 +114,9 @@ def stretch_of(car: Inserted, config: Config) -> Stretch:
         InputError: the network cannot be read.
     """
     edges = car.edges[: next((k for k, edge in enumerate(car.edges) if edge in car.edges[:k]), len(car.edges))]
-    wanted = config.network.course
-    if wanted and not any(edges[k : k + len(wanted)] == wanted for k in range(len(edges))):
-        raise CourseError(f"vehicle '{car.name}' does not drive along network.course; name another")
+    ahead = iter(edges)
+    if not all(edge in ahead for edge in config.network.course):  # in this order, with others in between
+        raise CourseError(f"vehicle '{car.name}' does not drive over the edges of network.course in their order")
     course = road.load(config.network.file, edges, vclass=car.vclass, limit_factor=config.network.limit_factor)
     return Stretch.along(course, config, car.front_m)
 

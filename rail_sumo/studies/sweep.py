@@ -5,10 +5,8 @@ which cars those are, so that shares and drivers are compared on the same vehicl
 finished run came to is one file under `cells/`; the same command goes on with those that are missing.
 """
 
-import hashlib
 import json
 import math
-import pickle
 import tempfile
 import tomllib
 from collections.abc import Iterator, Sequence
@@ -209,7 +207,8 @@ class Sweep:
                 yield one
                 for name, driver in who.items():
                     for share in shares:
-                        yield replace(one, driver=name, who=driver, share=share, shares=(share,))
+                        learned = "" if name == ACC else roster.content_of(name, world)
+                        yield replace(one, driver=name, who=driver, learned=learned, share=share, shares=(share,))
 
     def _world(self, setting: str) -> Config:
         if self.key == SHARE:
@@ -305,16 +304,17 @@ class _Work:
     """The shares that rows are made of: of vehicles as they are, all shares of the sweep, as the placebo."""
     seed: int
     duration_s: float
+    learned: str = ""
+    """What the driver has learned, or its module, as SHA-256."""
     warm_up_s: float = 0.0
 
     @property
     def made_of(self) -> str:
         """What its rows follow from."""
-        learned = None if isinstance(self.who, str) else hashlib.sha256(pickle.dumps(self.who)).hexdigest()
         about = {
             "config": config_file.dumps(self.world),
             "inputs": training.world_inputs(self.world),
-            "learned": learned,
+            "learned": self.learned,
             "driver": self.driver,
             "shares": self.shares,
             "seed": self.seed,
