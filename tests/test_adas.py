@@ -780,16 +780,18 @@ def test_hands_off_leaves_the_speed_to_sumo_and_counts_its_lane_changes():
 # A lane that ends.
 
 
-def test_the_end_of_a_lane_is_braked_for_comfortably_to_a_stop_2_5_m_before_it(road):
+@pytest.mark.parametrize(("lane", "stands_m"), [(4, 2.5), (0, 20.0)])
+def test_the_end_of_a_lane_is_braked_for_comfortably_and_who_is_to_go_left_stands_back(road, lane, stands_m):
+    """So that one in the next lane who is to go right passes it."""
     road.gaps = closed
-    blocked = at(to_edge_end_m=150.0, leads_on_m=ENDING)
+    blocked = at(lane=lane, to_edge_end_m=150.0, leads_on_m=ending(0, 4))
     speed, ahead_m = 20.0, 150.0
     while speed > 0.05 and ahead_m > 0.0:
         command = road.adas.command(blocked._replace(speed_mps=speed, to_edge_end_m=ahead_m), road.gaps, steps=1)
         assert command.speed_mps >= speed - 0.2 - 1e-9  # 2 m/s²
         speed = command.speed_mps
         ahead_m -= speed * 0.1
-    assert ahead_m == pytest.approx(2.5, abs=0.3)
+    assert ahead_m == pytest.approx(stands_m, abs=0.3)
 
 
 def test_where_sumo_takes_the_gap_that_the_host_asks_for_the_change_is_counted_and_over(road):

@@ -1,6 +1,7 @@
 """Many driven vehicles in one simulation, in SUMO."""
 
 import math
+import re
 import xml.etree.ElementTree as ElementTree
 
 import libsumo
@@ -160,6 +161,50 @@ def test_of_two_that_aim_for_one_gap_from_either_side_one_waits(tmp_path, touchi
     assert not any(touching(scene) for scene in scenes)
     in_the_middle = [sum(lane == 1 for lane in one.values()) for one in lanes]
     assert max(in_the_middle) == 1, "the second would have to be clear of the first"
+
+
+def parting(length_m):
+    """A road of two lanes, the right one of which leads to `exit` alone, the left one to `main` alone."""
+    text = cut_road(length_m, 300.0, lanes=2)
+    whole = text[
+        text.index('<edge id="part1"') : text.index("</edge>", text.index('<edge id="part1"')) + len("</edge>")
+    ]
+    lanes = re.findall(r"<lane .*?/>", whole)
+    for number, (name, lane) in enumerate(zip(("exit", "main"), lanes, strict=True)):
+        own = re.sub(r'id="part1_\d" index="\d"', f'id="{name}_0" index="0"', lane)
+        text = text.replace(whole, f'<edge id="{name}" from="cut0" to="east">{own}</edge>{whole}')
+        way = f'to="part1" fromLane="{number}" toLane="{number}"'
+        text = text.replace(way, f'to="{name}" fromLane="{number}" toLane="0"')
+    return text.replace(whole, "").replace("part1_0 part1_1", "exit_0 main_0")
+
+
+@pytest.mark.parametrize("rows", [1, 4])
+@pytest.mark.parametrize("apart_m", [0.0, 3.0, -3.0])
+def test_who_must_go_where_the_other_is_get_past_one_another(tmp_path, touching, rows, apart_m):
+    """All cars in the right lane have to go to the left, and all in the left one to the right."""
+    network, routes = tmp_path / "parting.net.xml", tmp_path / "crossing.rou.xml"
+    network.write_text(parting(200.0))
+    cars = "".join(
+        f'<vehicle id="{way}{k}" type="car" depart="0" departLane="{lane}" departPos="{start_m - 10 * k}">'
+        f'<route edges="part0 {way}"/></vehicle>'
+        for way, lane, start_m in (("main", 0, 100.0), ("exit", 1, 100.0 + apart_m))
+        for k in range(rows)
+    )
+    routes.write_text(f'<routes><vType id="car" speedFactor="1" sigma="0"/>{cars}</routes>')
+    world, scenes = with_demand(network, routes), []
+
+    def watching(vehicle):
+        def decide(observation, agent):
+            scenes.append(agent.scene)
+            return KEEP
+
+        return decide
+
+    driven, arrived = trips(world, 1.0, watching, tmp_path)
+    assert len(driven.driven) == 2 * rows
+    assert driven.contacts == 0
+    assert not any(touching(scene) for scene in scenes)
+    assert {name for name, trip in arrived.items() if float(trip.get("arrival")) > 0.0} == driven.driven
 
 
 # What becomes of them, and of the traffic.

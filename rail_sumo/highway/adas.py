@@ -25,6 +25,9 @@ LEAVE_LANE_M = 300.0
 """How far before its end the host leaves a lane that does not lead on along its course."""
 LANE_END_SHORT_M = 2.5
 """How far before the end of such a lane the host stands. SUMO stands closer to it, and brakes for that harder."""
+MAKES_WAY_M = 20.0
+"""The same where it must leave it to the left. Where lanes part, each of two side by side may have to go where the
+other is: this one stands back, and the other passes it. SUMO's lane changer keeps such room too (blocker length)."""
 ROUNDED = 1.0001
 """By how much SUMO's own driver may be faster than is allowed: networks tell 80 km/h as 22.2222 m/s."""
 TOUCH_M = 0.01
@@ -273,7 +276,8 @@ def _within_limits(speed_mps: float, host: HostState, config: config.Adas, *, st
 
 def _lane_end(host: HostState) -> tuple[tuple[float, float], ...]:
     lane_ends_in_m = host.ends_in_m(host.lane)
-    return () if math.isinf(lane_ends_in_m) else ((lane_ends_in_m - LANE_END_SHORT_M, 0.0),)
+    short_m = MAKES_WAY_M if _way_on(host) == LEFT else LANE_END_SHORT_M
+    return () if math.isinf(lane_ends_in_m) else ((lane_ends_in_m - short_m, 0.0),)
 
 
 def slowed_for(host: HostState, config: config.Adas, speed_mps: float) -> Literal["limit", "stop", "lane end"]:
