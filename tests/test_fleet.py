@@ -2,6 +2,7 @@
 
 import math
 import re
+import shlex
 import xml.etree.ElementTree as ElementTree
 
 import libsumo
@@ -24,10 +25,9 @@ from rail_sumo.highway.simulation import Simulation
 SEED = UNSEEN + 100
 
 
-def with_demand(network, routes="", **sections):
-    return config_file.validate(
-        {"network": {"file": str(network)}, "traffic": {"routes": [str(routes or network)]}} | sections
-    )
+def with_demand(network, routes="", options=(), **sections):
+    traffic = {"routes": [str(routes or network)], "options": list(options)}
+    return config_file.validate({"network": {"file": str(network)}, "traffic": traffic} | sections)
 
 
 def driver(name, world):
@@ -243,6 +243,20 @@ def test_left_as_they_are_a_share_drives_as_without_one_to_the_byte(tmp_path):
         written.append(file.read_bytes())
     assert written[0] == written[1]
     assert len(written[0]) > 10_000
+
+
+@pytest.mark.parametrize("network", ["highway3", "onramp"])
+def test_as_they_are_they_drive_as_by_the_command_that_is_told_to_the_byte(tmp_path, network):
+    world = with_demand(network, options=("default.speeddev=0.2", "scale=0.9"))
+    _, ours = trips(world, 0.0, "nothing", tmp_path)
+    file = tmp_path / "theirs.xml"
+    further = ["--tripinfo-output", str(file), "--tripinfo-output.write-unfinished", "true"]
+    libsumo.start([*shlex.split(fleet.sumo_command(world, SEED)), *further])
+    libsumo.simulation.step(150.0)
+    libsumo.close()
+    theirs = {trip.get("id"): trip.attrib for trip in ElementTree.parse(file).getroot()}
+    assert len(theirs) > 40
+    assert theirs == {name: trip.attrib for name, trip in ours.items()}
 
 
 def test_at_the_end_of_their_way_they_are_the_demands_vehicles_again_and_arrive(tmp_path):

@@ -185,7 +185,12 @@ def test_a_sweep_tells_by_type_and_where_vehicles_brake_hard(tmp_path):
     def row(driver, share, vehicles, kind, edge, vehkm, braked):
         about = {"driver": driver, "setting": "", "share": share, "seed": 0, "vehicles": vehicles, "type": kind}
         sums = {"vehicle_s": 40.0 * vehkm, "vehkm": vehkm, "time_loss_s": 3.0 * vehkm, "lane_changes": 0}
-        return about | {"edge": edge} | sums | {"hard_brakings": braked, "ttc_below_1_5s": 0, "drac_above_3_4": 0}
+        return (
+            about
+            | {"edge": edge, "n_vehicles": 1}
+            | sums
+            | {"hard_brakings": braked, "ttc_below_1_5s": 0, "drac_above_3_4": 0}
+        )
 
     edges = pd.DataFrame([
         row("sumo", 0.0, "others", "car", "ramp", 2.0, 1),
@@ -200,11 +205,12 @@ def test_a_sweep_tells_by_type_and_where_vehicles_brake_hard(tmp_path):
     assert told["speed_kmh"].tolist() == [90.0] * 3
     assert told["time_loss_s_per_km"].tolist() == [3.0] * 3
     assert told["hard_brakings_per_vehkm"].tolist() == pytest.approx([0.5, 1.0, 1 / 3])
-    by_type, by_edge = report_page._edges(edges)
+    by_type, slow, by_edge = report_page._edges(edges)
     assert by_type.count("<tr>") == 1 + 3
     assert re.findall(r'scope="col" class="\w+">(.*?)<', by_edge) == ["edge", "as they are", "rule at 50%"]
     assert re.findall(r'data-value="(.*?)"', by_edge) == ["0.75", "0.5"]  # on the ramp alone
-    assert len(list(report_page._edges(edges.assign(hard_brakings=0)))) == 1
+    assert re.findall(r'data-value="(.*?)"', slow)[:2] == ["90.0", "90.0"]  # most is lost on the ramp
+    assert [one.count("Where") for one in report_page._edges(edges.assign(hard_brakings=0))] == [0, 1]
 
 
 def test_a_sweep_and_a_study_show_their_tables_and_figures(tmp_path):

@@ -16,7 +16,7 @@ from sketch import cut_road
 
 from rail_sumo import assets, cli, config_file
 from rail_sumo.errors import InputError
-from rail_sumo.pictures import plot
+from rail_sumo.pictures import fcd, plot
 from rail_sumo.studies import sweep
 from rail_sumo.studies.sweep import Sweep
 from rail_sumo.tables import cautions, report, shares, traffic
@@ -117,6 +117,23 @@ def test_what_a_learned_driver_has_driven_is_known_again_by_another_process(dema
     assert assets.sha256(assets.driver("rail") / "policy.safetensors") in first
 
 
+def test_floating_car_data_are_of_the_very_runs_and_are_made_where_they_are_missing(world, tmp_path):
+    swept = small(world, tmp_path / "out", drivers=("rule",), shares=(1.0,), seeds=1)
+    swept.drive()
+    assert not (tmp_path / "out" / "fcd").exists()
+    tables = replace(swept, fcd=True).drive()
+    for name, vehicles in (("rule-1", 1.0), ("sumo-0", 0.0)):
+        data = pd.read_parquet(tmp_path / "out" / "fcd" / f"{name}-seed0.parquet")
+        counted = data[(data["timestep_time"] >= 20.0) & (data["timestep_time"] < 30.0)]
+        rows = tables.traffic[(tables.traffic["vehicles"] == "all") & (tables.traffic["share"] == vehicles)]
+        row = rows[rows["driver"] == name.partition("-")[0]].iloc[0]
+        assert counted["vehicle_id"].nunique() == row["n_vehicles"]
+        assert 3.6 * counted["vehicle_speed"].mean() == pytest.approx(row["speed_kmh"])
+        film = fcd.read(tmp_path / "out" / "fcd" / f"{name}-seed0.parquet")
+        assert film.step_s == 0.5
+        assert 55 <= film.n_frames <= 61  # the first car departs by chance
+
+
 def test_runs_of_another_world_or_period_are_kept_and_told_of(world, tmp_path):
     first = small(world, tmp_path / "out", drivers=("acc",), shares=(1.0,), seeds=1)
     first.drive()
@@ -206,6 +223,24 @@ def test_a_road_that_locks_with_some_seeds_is_told_of():
     assert not list(cautions.locks(table[table["teleports"] == 0]))
 
 
+def test_an_edge_that_traffic_no_longer_comes_to_is_told_of():
+    def rows(driver, share, seed, **counts):
+        about = {"driver": driver, "setting": "", "share": share, "seed": seed, "vehicles": "others", "type": "car"}
+        return [about | {"edge": edge, "n_vehicles": n} for edge, n in counts.items()]
+
+    edges = pd.DataFrame([
+        *(row for seed in (0, 1) for row in rows("sumo", 0.0, seed, main=90, exit=30, lane=4)),
+        *rows("sumo", 0.5, 0, main=90, exit=0),  # told once, of share 0
+        *rows("rule", 0.5, 0, main=90, exit=9, lane=0),
+        *rows("rule", 0.5, 1, main=60),
+        *rows("keep", 0.5, 0, main=90, exit=16),
+        *rows("keep", 0.5, 1, main=90, exit=14),
+    ])  # fmt: skip
+    (note,) = cautions.emptied(edges)
+    assert "than at share 0 (edges.parquet): rule at 50%: exit (9 of 60): they may stand before" in note
+    assert not list(cautions.emptied(edges[edges["driver"] != "rule"]))
+
+
 @pytest.mark.parametrize(("driver", "told"), [("acc", True), ("rule", False)])
 def test_keys_of_the_assistance_layer_are_told_to_do_nothing_to_sumos_own_cruise_control(world, driver, told):
     swept = small(world, "out", drivers=(driver,), key="adas.time_gap_s", settings=("1", "2"))
@@ -263,8 +298,10 @@ def test_differences_are_from_the_same_vehicles_as_they_are_seed_by_seed():
     assert speed["difference"] == pytest.approx(6.0)
     assert speed["difference_high"] - speed["difference"] == pytest.approx(12.706 * 1.0, abs=1e-3)
     assert speed["relative"] == pytest.approx(61 / 55 - 1, abs=1e-6)
+    assert speed["seeds_to_tell"] == math.ceil((12.7062 * math.sqrt(2.0) / 6.0) ** 2)
     placebo = told.loc[(AS_THEY_ARE, 0.5, "driven", "speed_kmh")]
     assert placebo["difference"] == 0.0
+    assert np.isnan(placebo["seeds_to_tell"])
 
 
 def test_the_summary_says_how_many_seeds_five_percent_would_take():

@@ -174,12 +174,12 @@ def test_an_edge_has_what_happened_on_it_by_type_and_by_whether_driven(tmp_path)
         changes='<change id="one" time="1" from="a_0"/><change id="one" time="99" from="a_0"/>',
     )
     told = reports.edges({"one"}).set_index(["vehicles", "type", "edge"])
-    assert list(told.columns) == list(traffic.SUMS)
+    assert list(told.columns) == [*traffic.SUMS, "n_vehicles"]
     loss_s = 0.5 * (0 + 0.09 + 0.09)
-    assert told.loc[("driven", "car", "a")].tolist() == pytest.approx([1.5, 0.0282, loss_s, 1, 1, 0, 0])
-    assert told.loc[("driven", "car", "b")].tolist() == pytest.approx([1.0, 0.0182, 0.09, 0, 0, 0, 0])
-    assert told.loc[("others", "lorry", "a")].tolist() == pytest.approx([2.0, 0.02, 1.0, 0, 0, 1, 0])
-    assert told.loc[("others", "car", "a")].tolist() == pytest.approx([1.0, 0.02, 0, 0, 0, 0, 0])
+    assert told.loc[("driven", "car", "a")].tolist() == pytest.approx([1.5, 0.0282, loss_s, 1, 1, 0, 0, 1])
+    assert told.loc[("driven", "car", "b")].tolist() == pytest.approx([1.0, 0.0182, 0.09, 0, 0, 0, 0, 1])
+    assert told.loc[("others", "lorry", "a")].tolist() == pytest.approx([2.0, 0.02, 1.0, 0, 0, 1, 0, 1])
+    assert told.loc[("others", "car", "a")].tolist() == pytest.approx([1.0, 0.02, 0, 0, 0, 0, 0, 1])
     assert len(told) == 4
 
 

@@ -106,7 +106,8 @@ def check(
     if found.n_signals:
         print(f"traffic lights: {found.n_signals}")
     if found.ending_lanes:
-        print(f"lanes end on: {_shortened(list(found.ending_lanes))}; the host leaves them in time")
+        ending = _shortened(list(found.ending_lanes))
+        print(f"lanes end on: {ending}; the host has to leave them, and stands at the end where it finds no gap")
     if found.host:
         print(f"host of the first episode: '{found.host}' of the demand, from {found.enters_s:.0f} s on")
     if found.flows_vehph:

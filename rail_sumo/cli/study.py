@@ -94,6 +94,7 @@ def sweep(
         str, typer.Option("--warm-up", metavar="SECONDS|auto", help="What is driven before and does not count.")
     ] = "auto",
     out: Annotated[Path, typer.Option(help="Folder for runs, tables and figures.")] = Path("runs/sweep"),
+    fcd: Annotated[bool, typer.Option("--fcd", help="Also SUMO's floating-car data of every run.")] = False,
     as_json: Annotated[bool, typer.Option("--json", help="Print the differences from share 0 as JSON.")] = False,
     workers: LocalWorkers = "",
 ) -> None:
@@ -122,6 +123,7 @@ def sweep(
         seeds=seeds,
         duration_s=duration,
         warm_up_s=_warm_up_s(warm_up),
+        fcd=fcd,
         workers=n_workers,
         command=typed(),
         road=network or "",
@@ -139,6 +141,8 @@ def sweep(
     console.print(study.shown(swept, tables, width=console.width))
     written = "tables, figures and sweep.md" if (out / study.FIGURES).is_dir() else "tables and sweep.md"
     print(f"{written} in {out}")
+    if fcd:
+        print(f"floating-car data in {out / study.FCD}; watch one: rail-sumo replay FILE --network NETWORK")
 
 
 def _warm_up_s(text: str) -> float | None:

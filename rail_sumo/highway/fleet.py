@@ -2,6 +2,7 @@
 
 import hashlib
 import math
+import shlex
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import Literal
@@ -14,7 +15,7 @@ from rail_sumo.highway.inserted import Inserted
 from rail_sumo.highway.network import demand, road
 from rail_sumo.highway.network.demand import Demand
 from rail_sumo.highway.rides import Decide, Ride, Rides
-from rail_sumo.highway.simulation import Simulation
+from rail_sumo.highway.simulation import Simulation, options_of
 from rail_sumo.records import SECONDS_PER_STEP, Lane
 
 Instead = Literal["nothing", "acc"]
@@ -40,12 +41,24 @@ def demand_of(world: Config) -> Demand:
     """
     if world.varied.networks:
         raise InputError("a share is of the cars of one demand; leave out varied.networks")
-    own = demand.read(world.traffic)
+    own, files = demand.read(world.traffic), (*world.traffic.routes, *world.traffic.additional)
+    if not own.has_traffic and files:
+        raise InputError(f"a share is of the cars of a demand, and no vehicle is in {', '.join(files)}")
     if not own.has_traffic:
         raise InputError(
             "a share is of the cars of a demand, and there is none; name its files with --routes, or a .sumocfg"
         )
     return own
+
+
+def sumo_command(world: Config, seed: int) -> str:
+    """Return the command that has SUMO drive a demand as a fleet without driven cars does, to be run without us.
+
+    `network.limit_factor` is not in it.
+    """
+    net_file, begin_s = assets.network(world.network.file), world.traffic.begin_s
+    options = options_of(net_file, demand_of(world), begin_s=begin_s, seed=seed)
+    return shlex.join(["sumo", *(word for name, value in options.items() for word in (f"--{name}", str(value)))])
 
 
 @dataclass

@@ -104,18 +104,7 @@ class Simulation:
         self._prefix = f"{OURS}{os.getpid()}_"
         self._written = demand.folders_written
         self._outputs = outputs
-        types = (HOST_TYPES,) if demand.has_traffic else (HOST_TYPES, TRAFFIC_TYPES)
-        options = {
-            "net-file": net_file,
-            "additional-files": ",".join(map(str, (*types, *demand.additional))),
-            "begin": begin_s,
-            **({} if demand.has_traffic else MADE_TRAFFIC_OPTIONS),
-            **demand.options,
-            **OUR_OPTIONS,
-            "seed": seed % SEEDS,
-        }
-        if demand.routes:
-            options["route-files"] = ",".join(map(str, demand.routes))
+        options = options_of(net_file, demand, begin_s=begin_s, seed=seed)
         if demand.files:  # whatever they write is not kept, and must not overwrite what the user has
             options["output-prefix"] = self._prefix
         Simulation._latest = self
@@ -461,6 +450,21 @@ class Simulation:
     def run_without_host(self, seconds: float) -> None:
         """Let the traffic drive, for one step at least, before the host is watched."""
         libsumo.simulation.step(libsumo.simulation.getTime() + max(seconds, SECONDS_PER_STEP))
+
+
+def options_of(net_file: Path, demand: Demand, *, begin_s: float, seed: int) -> dict[str, object]:
+    """Return what SUMO is started with, by the options' names."""
+    types = (HOST_TYPES,) if demand.has_traffic else (HOST_TYPES, TRAFFIC_TYPES)
+    return {
+        "net-file": net_file,
+        "additional-files": ",".join(map(str, (*types, *demand.additional))),
+        "begin": begin_s,
+        **({} if demand.has_traffic else MADE_TRAFFIC_OPTIONS),
+        **demand.options,
+        **OUR_OPTIONS,
+        "seed": seed % SEEDS,
+        **({"route-files": ",".join(map(str, demand.routes))} if demand.routes else {}),
+    }
 
 
 def floating_car_data(file: Path, *, reach_m: float) -> tuple[str, ...]:

@@ -232,21 +232,30 @@ def _sweep(folder: Path) -> Iterator[str]:
 
 
 def _edges(edges: pd.DataFrame) -> Iterator[str]:
-    """Yield how a sweep's types of vehicles drove, and where there were most hard brakings."""
+    """Yield how a sweep's types of vehicles drove, where most time was lost and where they braked hard."""
     edges = edges.assign(arm=[called(*arm) for arm in edges[ARM].itertuples(index=False)])
     short = {measure: told.heading for measure, told in TOLD.items()}
     short |= {"vehkm": "veh km", "drac_above_3_4_per_vehkm": "DRAC > 3.4 m/s², per veh km"}
     caption = "All vehicles of a type, all seeds together."
     by_type = _table(rates(edges, ["arm", "type"]).rename(columns=short), caption)
     yield f"<details><summary>By type</summary>{by_type}</details>"
-    most = edges.groupby("edge")["hard_brakings"].sum().nlargest(MOST_EDGES)
-    most = most[most > 0]
-    if len(most):
-        by_edge = rates(edges[edges["edge"].isin(most.index)], ["edge", "arm"])
-        shown = by_edge.pivot(index="edge", columns="arm", values="hard_brakings_per_vehkm")
-        shown = shown.loc[most.index, by_edge["arm"].drop_duplicates()].reset_index()
-        caption = f"Hard brakings a vehicle kilometre, on the {len(most)} edges with most of them; all seeds together."
-        yield "<details><summary>Where vehicles brake hard</summary>" + _table(shown, caption) + "</details>"
+    for heading, told, summed, shown in (
+        ("Where time is lost", "Mean speed, km/h, on the {} edges where most time is lost", "time_loss_s", "speed_kmh"),
+        (
+            "Where vehicles brake hard",
+            "Hard brakings a vehicle kilometre, on the {} edges with most of them",
+            "hard_brakings",
+            "hard_brakings_per_vehkm",
+        ),
+    ):
+        most = edges.groupby("edge")[summed].sum().nlargest(MOST_EDGES)
+        most = most[most > 0]
+        if len(most):
+            by_edge = rates(edges[edges["edge"].isin(most.index)], ["edge", "arm"])
+            beside = by_edge.pivot(index="edge", columns="arm", values=shown)
+            beside = beside.loc[most.index, by_edge["arm"].drop_duplicates()].reset_index()
+            caption = f"{told.format(len(most))}; all seeds together."
+            yield f"<details><summary>{heading}</summary>{_table(beside, caption)}</details>"
 
 
 def _of_markdown(text: str) -> tuple[pd.DataFrame, str]:

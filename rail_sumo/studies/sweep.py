@@ -24,8 +24,8 @@ from rail_sumo.config import Config, flat
 from rail_sumo.config_file import first_difference
 from rail_sumo.errors import InputError
 from rail_sumo.files import check_folder, whole_file
-from rail_sumo.highway.fleet import Instead, demand_of
-from rail_sumo.highway.network import demand
+from rail_sumo.highway.fleet import Instead, demand_of, sumo_command
+from rail_sumo.highway.network import demand, road
 from rail_sumo.pictures import plot
 from rail_sumo.rollout import EVALUATION, SILENT, Observer, Who, traffic_seed
 from rail_sumo.run_directory import CONFIG
@@ -50,8 +50,8 @@ SHARE = "share"
 """What is swept over, unless it is a key of the configuration."""
 ACC = roster.INSTEAD
 """The driver that is SUMO's own adaptive cruise control."""
-FIGURES = "figures"
-"""The folder of its pictures."""
+FIGURES, FCD = "figures", "fcd"
+"""The folders of its pictures, and of floating-car data."""
 SECTIONS, PERIOD = ("network", "traffic", "adas", "lidar", "observation"), "episode.decision_period_s"
 """What may be swept over beside the share: numbers of these sections, and this one."""
 FOUND_OVER, FOUND_WITHIN_S = 2.0, 1200.0
@@ -79,6 +79,8 @@ class Sweep:
     """The period that counts."""
     warm_up_s: float | None = None
     """How long the traffic drives before; None to find it."""
+    fcd: bool = False
+    """Whether SUMO's floating-car data of every run are kept, twice a second, in the folder `FCD`."""
     workers: int = 1
     observer: Observer = SILENT
     command: str = ""
@@ -118,15 +120,16 @@ class Sweep:
         table = report.typed(pd.concat(driven, ignore_index=True), TRAFFIC_COLUMNS)
         if not table.loc[table["vehicles"] == traffic.DRIVEN, "n_vehicles"].any():
             raise InputError("no car of the share was on the road in the period; change traffic.begin_s or --duration")
-        for note in cautions.of_runs(table):
+        edges = pd.concat([pd.read_parquet(one.edges_file) for one in work], ignore_index=True)
+        for note in cautions.of_runs(table, edges):
             notes.append(note)
             self.observer.note(note)
-        edges = pd.concat([pd.read_parquet(one.edges_file) for one in work], ignore_index=True)
         tables = Tables(table, summarised(table), compared(table), edges, warm_up_s, tuple(notes))
         report.write(self.out, traffic=table, summary=tables.summary, differences=tables.differences, overwrite=True)
         with whole_file(self.out / EDGES) as partial:
             edges.to_parquet(partial, index=False)
-        run.describe(self.out, self.config, self.command, **({"notes": notes} if notes else {}))
+        sumo = sumo_command(self.config, traffic_seed(0, EVALUATION, 0))
+        run.describe(self.out, self.config, self.command, sumo=sumo, **({"notes": notes} if notes else {}))
         with whole_file(self.out / "sweep.md") as partial:
             partial.write_text(markdown(self, tables), encoding="utf-8")
         self._draw(tables.summary)
@@ -163,7 +166,13 @@ class Sweep:
             if not 0.0 <= share <= 1.0:
                 hint = f" (for {share:g} %, write {share / 100:g})" if 1.0 < share <= 100.0 else ""
                 raise InputError(f"a share is a number from 0 to 1; got {share:g}{hint}")
-        demand_of(self.config)
+        road.require_readable(self.config.network.file)
+        last_s, begin_s = demand_of(self.config).departs_s[1], self.config.traffic.begin_s
+        if begin_s > last_s and self.key != "traffic.begin_s":
+            raise InputError(
+                f"the demand's last vehicle departs at {last_s:.0f} s, before traffic.begin_s = {begin_s:.0f}; set it "
+                "to an earlier time"
+            )
         if self.key not in (SHARE, PERIOD) and self.key.partition(".")[0] not in SECTIONS:
             raise InputError(
                 f"{self.key} has no effect on a sweep; vary a number of [{'], ['.join(SECTIONS)}] or {PERIOD}"
@@ -202,7 +211,16 @@ class Sweep:
                     drivers.require_same_senses(driver, world, f"driver '{name}'")
             for seed in range(self.seeds):
                 one = _Work(
-                    self.out, world, AS_THEY_ARE, "nothing", setting, 0.0, (0.0, *shares), seed, self.duration_s
+                    self.out,
+                    world,
+                    AS_THEY_ARE,
+                    "nothing",
+                    setting,
+                    0.0,
+                    (0.0, *shares),
+                    seed,
+                    self.duration_s,
+                    keeps_fcd=self.fcd,
                 )
                 yield one
                 for name, driver in who.items():
@@ -306,6 +324,7 @@ class _Work:
     duration_s: float
     learned: str = ""
     """What the driver has learned, or its module, as SHA-256."""
+    keeps_fcd: bool = False
     warm_up_s: float = 0.0
 
     @property
@@ -352,10 +371,21 @@ class _Work:
         """Where its sums for each edge are kept."""
         return self.file.with_suffix(".edges.parquet")
 
+    @property
+    def fcd_file(self) -> Path:
+        """Where its floating-car data are kept, if they are."""
+        return self.out / FCD / self.file.name
+
+    @property
+    def is_finished(self) -> bool:
+        """Whether all of its files are there, and made of the same."""
+        files = (self.file, self.edges_file, *((self.fcd_file,) if self.keeps_fcd else ()))
+        return all(cells.made_of(file) == self.made_of for file in files)
+
 
 def _finish(work: _Work) -> pd.DataFrame:
     """Return a run's rows, after driving it unless its files are there already; in a process of its own."""
-    if any(cells.made_of(file) != work.made_of for file in (work.file, work.edges_file)):
+    if not work.is_finished:
         rows, edges = _drive(work)
         cells.write(work.edges_file, report.typed(edges, EDGE_COLUMNS), work.made_of)
         cells.write(work.file, report.typed(rows, TRAFFIC_COLUMNS), work.made_of)
@@ -369,7 +399,7 @@ def _drive(work: _Work) -> tuple[pd.DataFrame, pd.DataFrame]:
     with tempfile.TemporaryDirectory() as folder:
         reports = Path(folder)
         world = _with_emissions(work.world)
-        driven = rollout.fleet_of(work.who, world, work.share, seed, traffic.options(reports))
+        driven = rollout.fleet_of(work.who, world, work.share, seed, traffic.options(reports, places=work.keeps_fcd))
         try:
             driven.drive(from_s + work.duration_s)
         except InputError as error:
@@ -387,6 +417,8 @@ def _drive(work: _Work) -> tuple[pd.DataFrame, pd.DataFrame]:
             teleported=tuple(driven.teleported),
         )
         told = traffic.Reports(about_run)
+        if work.keeps_fcd:
+            cells.write(work.fcd_file, traffic.floating_car_data(reports), work.made_of)
     if driven.undriven and not driven.driven:
         raise InputError(
             f"driver '{work.driver}' could drive none of {len(driven.undriven)} cars: "

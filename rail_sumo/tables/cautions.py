@@ -1,4 +1,4 @@
-"""What the runs of a sweep tell against its own figures: vehicles that wait, a road that fills up, one that locks."""
+"""What the runs of a sweep tell against its own figures: who waits, a road that fills up or locks, an empty exit."""
 
 from collections.abc import Iterator
 
@@ -10,22 +10,31 @@ MOST_TOLD = 4
 """A note names so many groups of runs at most."""
 GROWN, GROWN_BY = 10.0, 0.2
 """A road fills up where there are so many vehicles more at the end of the period, and by this share of those before."""
+FEWER, AT_LEAST = 0.5, 20
+"""Traffic has gone from an edge where less than this share of the vehicles is left, if there were so many."""
 
 
-def of_runs(table: pd.DataFrame) -> Iterator[str]:
-    """Yield a note for each of what follows that the runs show, given as `TRAFFIC_COLUMNS`."""
+def of_runs(table: pd.DataFrame, edges: pd.DataFrame) -> Iterator[str]:
+    """Yield a note for each of what follows that the runs show.
+
+    Args:
+        table: `TRAFFIC_COLUMNS`.
+        edges: `EDGE_COLUMNS`.
+    """
     yield from backlog(table)
     yield from growth(table)
     yield from locks(table)
+    yield from emptied(edges)
 
 
 def backlog(table: pd.DataFrame) -> Iterator[str]:
     """Tell where vehicles found no room to enter, which no mean of those on the road shows."""
     waiting = shares.of_all_vehicles(table).groupby(shares.ARM)["waiting"].mean()
     if waiting.max() >= 1.0:
+        least = f"{waiting.min():.0f} to" if round(waiting.min()) < round(waiting.max()) else "about"
         yield (
-            f"vehicles still wait for room to enter at the end, {waiting.min():.0f} to {waiting.max():.0f} of them in "
-            f"the mean over seeds (column waiting): where that differs, speeds are of different traffic"
+            f"vehicles still wait for room to enter at the end, {least} {waiting.max():.0f} of them in the mean over "
+            f"seeds, by driver and share (column waiting); where fewer have entered, speeds are of less traffic"
         )
 
 
@@ -57,4 +66,27 @@ def locks(table: pd.DataFrame) -> Iterator[str]:
         yield (
             f"SUMO took vehicles off the road that had stood too long (column teleports), with the seeds "
             f"{'; '.join(told[:MOST_TOLD])}{more}: the road may be locked there, and means are of unlike runs"
+        )
+
+
+def emptied(edges: pd.DataFrame) -> Iterator[str]:
+    """Tell where far fewer vehicles come to an edge than at share 0, as to an exit before which they stand."""
+    within_a_junction = edges["edge"].str.startswith(":")
+    once = shares.told_once(edges[~within_a_junction])
+    counts = once.groupby([*shares.ARM, "edge"], sort=False)["n_vehicles"].sum()
+    as_they_are = counts.xs((shares.AS_THEY_ARE, 0.0), level=("driver", "share"))
+    told = []
+    for (driver, setting, share), of_arm in counts.groupby(shares.ARM, sort=False):
+        before = as_they_are.xs(setting, level="setting")
+        now = of_arm.droplevel(shares.ARM).reindex(before.index, fill_value=0)
+        gone = before[(before >= AT_LEAST) & (now < FEWER * before)].index
+        if len(gone):
+            worst = (now[gone] / before[gone]).nsmallest(MOST_TOLD).index
+            where = ", ".join(f"{edge} ({now[edge]} of {before[edge]})" for edge in worst)
+            told.append(f"{shares.called(driver, setting, share)}: {where}")
+    if told:
+        more = f"; and {len(told) - MOST_TOLD} more" if len(told) > MOST_TOLD else ""
+        yield (
+            f"far fewer vehicles come to some edges than at share 0 (edges.parquet): "
+            f"{'; '.join(told[:MOST_TOLD])}{more}: they may stand before, or have not come so far"
         )

@@ -36,6 +36,7 @@ EDGE_COLUMNS = {
     "vehicles": "string",
     "type": "string",
     "edge": "string",
+    "n_vehicles": "int64",
     **traffic.SUMS,
 }
 """Columns of the `edges` table: a row per driver, setting, share, seed, kind and type of vehicles, and edge."""
@@ -67,6 +68,7 @@ DIFFERENCE_COLUMNS = {
     "relative": "float64",
     "relative_low": "float64",
     "relative_high": "float64",
+    "seeds_to_tell": "float64",
 }
 
 
@@ -80,21 +82,28 @@ def summarised(table: pd.DataFrame) -> pd.DataFrame:
         told = dict(zip(("driver", "setting", "share", "vehicles"), about, strict=True))
         for measure in MEASURED:
             scores = of_seeds[measure].to_numpy(np.float64)
+            n_seeds = int(np.isfinite(scores).sum())
             found = statistics.mean(scores[np.isfinite(scores)])
-            reach = (found.high - found.low) / 2 * math.sqrt(np.isfinite(scores).sum())
-            needed = math.ceil((reach / (0.05 * abs(found.value))) ** 2) if found.value and reach > 0 else math.nan
+            needed = _seeds_for(0.05 * found.value, found, n_seeds)
             rows.append(
                 told
-                | {"measure": measure, "seeds": int(np.isfinite(scores).sum()), "seeds_for_5_percent": needed}
+                | {"measure": measure, "seeds": n_seeds, "seeds_for_5_percent": needed}
                 | {"mean": found.value, "low": found.low, "high": found.high}
             )
     return report.typed(rows, SUMMARY_COLUMNS)
 
 
+def _seeds_for(half_width: float, found: statistics.Estimate, seeds: int) -> float:
+    """Return how many seeds an interval of half this width would take, if as many spread as these do."""
+    reach = (found.high - found.low) / 2 * math.sqrt(seeds)
+    return math.ceil((reach / half_width) ** 2) if half_width and reach > 0 else math.nan
+
+
 def compared(table: pd.DataFrame) -> pd.DataFrame:
     """Return how measures differ from share 0, seed by seed, with 95 % intervals: `DIFFERENCE_COLUMNS`.
 
-    Driven vehicles are compared with the same vehicles as they are, and so are the others.
+    Driven vehicles are compared with the same vehicles as they are, and so are the others. `seeds_to_tell` is how many
+    seeds it would take until the interval of a difference like this one excludes 0: (s t / d)^2.
     """
     keys = ["setting", "share", "vehicles"]
     as_they_are = table[table["driver"] == AS_THEY_ARE].set_index(keys)
@@ -112,6 +121,7 @@ def compared(table: pd.DataFrame) -> pd.DataFrame:
                 | {"measure": measure, "seeds": int(both.sum()), "difference": differs.value}
                 | {"difference_low": differs.low, "difference_high": differs.high, "relative": ratio.value - 1}
                 | {"relative_low": ratio.low - 1, "relative_high": ratio.high - 1}
+                | {"seeds_to_tell": _seeds_for(differs.value, differs, int(both.sum()))}
             )
     return report.typed(rows, DIFFERENCE_COLUMNS)
 

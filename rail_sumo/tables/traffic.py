@@ -95,15 +95,21 @@ class Run:
     """When who was taken off the road to be put on again elsewhere."""
 
 
-def options(folder: Path) -> tuple[str, ...]:
-    """Return the options that have SUMO write what `measures` reads."""
+def options(folder: Path, *, places: bool = False) -> tuple[str, ...]:
+    """Return the options that have SUMO write what `measures` reads, and where everybody is, if that is wanted."""
+    attributes = "speed,lane,leaderGap,leaderSpeed" + (",x,y,angle,type" if places else "")
     return (
-        *("--fcd-output", str(folder / "fcd.csv"), "--fcd-output.attributes", "speed,lane,leaderGap,leaderSpeed"),
+        *("--fcd-output", str(folder / "fcd.csv"), "--fcd-output.attributes", attributes),
         *("--fcd-output.max-leader-distance", str(LEADER_WITHIN_M), "--device.fcd.period", str(SAMPLED_S)),
         *("--tripinfo-output", str(folder / "trips.xml"), "--tripinfo-output.write-unfinished", "true"),
         *("--tripinfo-output.write-undeparted", "true"),
         *("--lanechange-output", str(folder / "changes.xml"), "--collision-output", str(folder / "collisions.xml")),
     )
+
+
+def floating_car_data(folder: Path) -> pd.DataFrame:
+    """Return SUMO's floating-car data of a run as it has written them, from its beginning on."""
+    return pd.read_csv(folder / "fcd.csv", sep=";", dtype={"vehicle_id": "str", "vehicle_type": "str"})
 
 
 class Reports:
@@ -145,9 +151,13 @@ class Reports:
             yield {"vehicles": kind} | self._of(of_kind, trips_of_kind, belongs[kind])
 
     def edges(self, driven: Set[str]) -> pd.DataFrame:
-        """Return `SUMS` by `vehicles` (those named or others), `type` and `edge`, of the edges that such drove on."""
+        """Return `SUMS` by `vehicles` (those named or others), `type` and `edge`, of the edges that such drove on.
+
+        And how many they were, as `n_vehicles`.
+        """
         sums = self._sums.assign(vehicles=np.where(self._sums["id"].isin(driven), DRIVEN, OTHERS))
-        return sums.groupby(["vehicles", "type", "edge"])[list(SUMS)].sum().reset_index()
+        groups = sums.groupby(["vehicles", "type", "edge"])
+        return groups[list(SUMS)].sum().assign(n_vehicles=groups["id"].nunique()).reset_index()
 
     @cached_property
     def _sums(self) -> pd.DataFrame:
