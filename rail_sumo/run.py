@@ -339,7 +339,7 @@ def manifest(folder: Path, means: Mapping[str, float], seed: int, inputs: Mappin
     """
     kept = [path for path in sorted(folder.iterdir()) if path.is_file() and path.name != assets.MANIFEST]
     written = {
-        "inputs": dict(inputs),
+        "inputs": {key: checksum for key, checksum in inputs.items() if checksum},
         "files": {path.name: assets.sha256(path) for path in kept},
         "seed": seed,
         **_versions(),
