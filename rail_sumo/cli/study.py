@@ -100,6 +100,7 @@ def sweep(
 ) -> None:
     """Tell what happens on a road as the share of driven cars grows; what is in the folder is not driven again."""
     from rail_sumo import roster
+    from rail_sumo.studies import share_run
     from rail_sumo.studies import sweep as study
 
     n_workers = workers_of(workers)
@@ -142,7 +143,7 @@ def sweep(
     written = "tables, figures and sweep.md" if (out / study.FIGURES).is_dir() else "tables and sweep.md"
     print(f"{written} in {out}")
     if fcd:
-        print(f"floating-car data in {out / study.FCD}; watch one: rail-sumo replay FILE --network NETWORK")
+        print(f"floating-car data in {out / share_run.FCD}; watch one: rail-sumo replay FILE --network NETWORK")
 
 
 def _warm_up_s(text: str) -> float | None:

@@ -5,23 +5,18 @@ which cars those are, so that shares and drivers are compared on the same vehicl
 finished run came to is one file under `cells/`; the same command goes on with those that are missing.
 """
 
-import json
 import math
-import tempfile
-import tomllib
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from importlib.util import find_spec
 from pathlib import Path
-from typing import Any, NamedTuple
-from urllib.parse import quote
+from typing import NamedTuple
 
 import pandas as pd
 from rich.table import Table
 
-from rail_sumo import assets, config_file, drivers, rollout, roster, run, training
-from rail_sumo.config import Config, flat
-from rail_sumo.config_file import first_difference
+from rail_sumo import config_file, drivers, rollout, roster, run
+from rail_sumo.config import Config
 from rail_sumo.errors import InputError
 from rail_sumo.files import check_folder, whole_file
 from rail_sumo.highway.fleet import Instead, demand_of, sumo_command
@@ -29,11 +24,11 @@ from rail_sumo.highway.network import demand, road
 from rail_sumo.pictures import plot
 from rail_sumo.rollout import EVALUATION, SILENT, Observer, Who, traffic_seed
 from rail_sumo.run_directory import CONFIG
-from rail_sumo.studies import cells
+from rail_sumo.studies import share_run
+from rail_sumo.studies.share_run import ShareRun
 from rail_sumo.tables import cautions, report, traffic, warm_up
 from rail_sumo.tables.shares import (
     AS_THEY_ARE,
-    EDGE_COLUMNS,
     EDGES,
     HEADINGS,
     MEASURED,
@@ -50,14 +45,12 @@ SHARE = "share"
 """What is swept over, unless it is a key of the configuration."""
 ACC = roster.INSTEAD
 """The driver that is SUMO's own adaptive cruise control."""
-FIGURES, FCD = "figures", "fcd"
-"""The folders of its pictures, and of floating-car data."""
+FIGURES = "figures"
+"""The folder of its pictures."""
 SECTIONS, PERIOD = ("network", "traffic", "adas", "lidar", "observation"), "episode.decision_period_s"
 """What may be swept over beside the share: numbers of these sections, and this one."""
 FOUND_OVER, FOUND_WITHIN_S = 2.0, 1200.0
 """To find the warm-up the traffic is watched for so many times the period that counts, and no less long than this."""
-
-EMISSIONS = "device.emissions.probability"
 
 
 @dataclass(frozen=True)
@@ -114,7 +107,7 @@ class Sweep:
         self.observer.start("runs", len(work))
         driven = []
         with rollout.workers(self.workers) as pool:
-            for rows in pool.map(_finish, work):
+            for rows in pool.map(share_run.finish, work):
                 driven.append(rows)
                 self.observer.advance({})
         table = report.typed(pd.concat(driven, ignore_index=True), TRAFFIC_COLUMNS)
@@ -196,7 +189,7 @@ class Sweep:
             if drivers.hands_off(name) and name != AS_THEY_ARE:
                 raise InputError(f"driver '{name}' drives one vehicle; for SUMO's own drivers take '{AS_THEY_ARE}'")
 
-    def _work(self) -> Iterator["_Work"]:
+    def _work(self) -> Iterator[ShareRun]:
         """Yield every run; how long it warms up is not known yet."""
         shares = [share for share in self.shares if share > 0.0]
         for setting in self.settings:
@@ -210,7 +203,7 @@ class Sweep:
                 for name, driver in who.items():
                     drivers.require_same_senses(driver, world, f"driver '{name}'")
             for seed in range(self.seeds):
-                one = _Work(
+                one = ShareRun(
                     self.out,
                     world,
                     AS_THEY_ARE,
@@ -304,141 +297,6 @@ class Tables(NamedTuple):
     """How long the traffic drove before it counted."""
     notes: tuple[str, ...] = ()
     """What makes the figures depend on the period."""
-
-
-@dataclass(frozen=True)
-class _Work:
-    """One run."""
-
-    out: Path
-    """The sweep's folder."""
-    world: Config
-    driver: str
-    who: Who | Instead
-    """Who drives, as it travels to a worker, or what a vehicle of the share gets instead."""
-    setting: str
-    share: float
-    shares: tuple[float, ...]
-    """The shares that rows are made of: of vehicles as they are, all shares of the sweep, as the placebo."""
-    seed: int
-    duration_s: float
-    learned: str = ""
-    """What the driver has learned, or its module, as SHA-256."""
-    keeps_fcd: bool = False
-    warm_up_s: float = 0.0
-
-    @property
-    def made_of(self) -> str:
-        """What its rows follow from."""
-        about = {
-            "config": config_file.dumps(self.world),
-            "inputs": training.world_inputs(self.world),
-            "learned": self.learned,
-            "driver": self.driver,
-            "shares": self.shares,
-            "seed": self.seed,
-            "period": (self.warm_up_s, self.duration_s),
-            "by": assets.own_version(),
-        }
-        return json.dumps(about, sort_keys=True)
-
-    def require_same_study(self) -> None:
-        """Raise InputError if its file holds a run of another world or period."""
-        about = cells.made_of(self.file)
-        if not about:
-            return
-        theirs, ours = json.loads(about), json.loads(self.made_of)
-        if theirs["config"] != ours["config"]:
-            what = first_difference(*(flat(tomllib.loads(one["config"])) for one in (theirs, ours))) or "other keys"
-        elif theirs["period"] != ours["period"]:
-            what = "{:g} s after {:g} s of warm-up, not {:g} after {:g}".format(
-                *theirs["period"][::-1], *ours["period"][::-1]
-            )
-        elif theirs["inputs"] != ours["inputs"]:
-            what = "other content of the network's or the demand's files"
-        else:
-            return
-        raise InputError(f"'{self.out}' holds runs that were driven with {what}; choose another --out")
-
-    @property
-    def file(self) -> Path:
-        """Where its rows are kept."""
-        parts = [quote(one, safe="") for one in (self.driver, self.setting) if one]
-        return self.out / "cells" / f"{'-'.join(parts)}-{self.share:g}-seed{self.seed}.parquet"
-
-    @property
-    def edges_file(self) -> Path:
-        """Where its sums for each edge are kept."""
-        return self.file.with_suffix(".edges.parquet")
-
-    @property
-    def fcd_file(self) -> Path:
-        """Where its floating-car data are kept, if they are."""
-        return self.out / FCD / self.file.name
-
-    @property
-    def is_finished(self) -> bool:
-        """Whether all of its files are there, and made of the same."""
-        files = (self.file, self.edges_file, *((self.fcd_file,) if self.keeps_fcd else ()))
-        return all(cells.made_of(file) == self.made_of for file in files)
-
-
-def _finish(work: _Work) -> pd.DataFrame:
-    """Return a run's rows, after driving it unless its files are there already; in a process of its own."""
-    if not work.is_finished:
-        rows, edges = _drive(work)
-        cells.write(work.edges_file, report.typed(edges, EDGE_COLUMNS), work.made_of)
-        cells.write(work.file, report.typed(rows, TRAFFIC_COLUMNS), work.made_of)
-    return report.typed(pd.read_parquet(work.file), TRAFFIC_COLUMNS)
-
-
-def _drive(work: _Work) -> tuple[pd.DataFrame, pd.DataFrame]:
-    """Drive, and return a row for each share and kind of vehicles, and sums for each edge."""
-    seed, begin_s = traffic_seed(work.seed, EVALUATION, 0), work.world.traffic.begin_s
-    from_s = begin_s + work.warm_up_s
-    with tempfile.TemporaryDirectory() as folder:
-        reports = Path(folder)
-        world = _with_emissions(work.world)
-        driven = rollout.fleet_of(work.who, world, work.share, seed, traffic.options(reports, places=work.keeps_fcd))
-        try:
-            driven.drive(from_s + work.duration_s)
-        except InputError as error:
-            raise InputError(f"driver '{work.driver}', share {work.share:g}, seed {work.seed}: {error}") from None
-        about_run = traffic.Run(
-            reports,
-            from_s,
-            from_s + work.duration_s,
-            vehicles={
-                name: traffic.Vehicle(car.kind, car.speed_factor, car.fastest_mps)
-                for name, car in driven.inserted.items()
-            },
-            lanes=driven.lanes,
-            edges=driven.edges,
-            teleported=tuple(driven.teleported),
-        )
-        told = traffic.Reports(about_run)
-        if work.keeps_fcd:
-            cells.write(work.fcd_file, traffic.floating_car_data(reports), work.made_of)
-    if driven.undriven and not driven.driven:
-        raise InputError(
-            f"driver '{work.driver}' could drive none of {len(driven.undriven)} cars: "
-            f"{next(iter(driven.undriven.values()))}"
-        )
-    about = {"driver": work.driver, "setting": work.setting, "seed": work.seed, "undriven": len(driven.undriven)}
-    kinds = {name: car.kind for name, car in driven.inserted.items()} | told.waiting
-    rows: list[dict[str, Any]] = []
-    edges: list[pd.DataFrame] = []
-    for share in work.shares:
-        of_share = {name for name, kind in kinds.items() if driven.is_of_the_share(name, kind, share)}
-        rows += [about | {"share": share} | measures for measures in told.measures(of_share)]
-        edges.append(told.edges(of_share).assign(**about, share=share))
-    return pd.DataFrame(rows), pd.concat(edges)
-
-
-def _with_emissions(world: Config) -> Config:
-    """Return the world with SUMO accounting for everybody's emissions, whatever its options say of them."""
-    others = [option for option in world.traffic.options if not option.startswith(EMISSIONS)]
-    return world.changed(traffic={"options": (*others, f"{EMISSIONS}=1")})
 
 
 def markdown(sweep: Sweep, tables: Tables) -> str:
