@@ -235,7 +235,7 @@ def _edges(edges: pd.DataFrame) -> Iterator[str]:
     """Yield how a sweep's types of vehicles drove, where most time was lost and where they braked hard."""
     edges = edges.assign(arm=[called(*arm) for arm in edges[ARM].itertuples(index=False)])
     short = {measure: told.heading for measure, told in TOLD.items()}
-    short |= {"vehkm": "veh km", "drac_above_3_4_per_vehkm": "DRAC > 3.4 m/s², per veh km"}
+    short |= {"arm": "driver", "vehkm": "veh km", "drac_above_3_4_per_vehkm": "DRAC > 3.4 m/s², per veh km"}
     caption = "All vehicles of a type, all seeds together."
     by_type = _table(rates(edges, ["arm", "type"]).rename(columns=short), caption)
     yield f"<details><summary>By type</summary>{by_type}</details>"
