@@ -123,7 +123,7 @@ class Traffic(_Section):
     """When to begin, in SUMO's time: 25200 for seven in the morning."""
     warm_up_s: NonNegative = 60.0
     """How long the user's own demand drives before the host enters."""
-    host: str = "replaces"
+    host: Annotated[str, Field(coerce_numbers_to_str=True)] = "replaces"
     """Who the host is in it: it "replaces" a car (without cars, another motor vehicle), drawn by the seed, with its
     departure and route, or the vehicle with this id; or it is "added" to the demand, and drives along `network.course`,
     or the longest way."""

@@ -4,7 +4,7 @@ import itertools
 import json
 import math
 import platform
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Mapping, Sequence
 from importlib.metadata import version
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -144,7 +144,14 @@ def evaluate(
         observer.note(f"{name} did not drive episode {episode}: {why}")
     if fcd:
         _require_whole(fcd)
-    return results.tables()
+    tables = results.tables()
+    hosts = tables.episodes["host"].dropna().unique()
+    if world.traffic.host == "replaces" and demand.read(world.traffic).has_traffic and episodes > 1 and len(hosts) == 1:
+        observer.note(
+            f"every episode drives the same car, '{hosts[0]}', since the demand has no other to draw: the intervals "
+            "tell nothing of other cars; name one by traffic.host, or change traffic.begin_s"
+        )
+    return tables
 
 
 class _Results:
@@ -266,8 +273,9 @@ def train(
     tables = evaluate(policies, config, episodes=episodes, seed=seed, workers=workers, observer=observer)
     tables.write(out, overwrite=True)
     own = tables.summary[tables.summary["policy"] == config.train.learner]
+    means, notes = own.set_index("metric")["mean"], list(training.other_expert(config))
     with whole_file(out / assets.MANIFEST) as partial:
-        partial.write_text(manifest(out, own.set_index("metric")["mean"], seed, run.inputs), encoding="utf-8")
+        partial.write_text(manifest(out, means, seed, run.inputs, notes), encoding="utf-8")
     return tables
 
 
@@ -328,7 +336,9 @@ def _versions() -> dict[str, str]:
     return {"rail-sumo": assets.own_version(), "python": platform.python_version(), **others}
 
 
-def manifest(folder: Path, means: Mapping[str, float], seed: int, inputs: Mapping[str, str]) -> str:
+def manifest(
+    folder: Path, means: Mapping[str, float], seed: int, inputs: Mapping[str, str], notes: Sequence[str] = ()
+) -> str:
     """Return what tells how a driver's folder was made, as JSON.
 
     Args:
@@ -336,9 +346,11 @@ def manifest(folder: Path, means: Mapping[str, float], seed: int, inputs: Mappin
         means: of the evaluation, by metric.
         seed: of everything random.
         inputs: the SHA-256 of the files that it follows from, by the keys that name them.
+        notes: what to know of its tables.
     """
     kept = [path for path in sorted(folder.iterdir()) if path.is_file() and path.name != assets.MANIFEST]
     written = {
+        **({"notes": list(notes)} if notes else {}),
         "inputs": {key: checksum for key, checksum in inputs.items() if checksum},
         "files": {path.name: assets.sha256(path) for path in kept},
         "seed": seed,

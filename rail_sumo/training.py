@@ -47,7 +47,7 @@ def learn(
     inputs = inputs_of(config)
     with rollout.workers(workers) as pool:  # before the run's folder is there: Ray may be missing
         if run is None:
-            for note in (*doubts(config, demonstrations), *_other_expert(config)):
+            for note in (*doubts(config, demonstrations), *other_expert(config)):
                 observer.note(note)
             run = RunDirectory.create(out, config, seed, inputs, _start(config, demonstrations, seed))
         else:
@@ -92,7 +92,7 @@ def doubts(config: Config, demonstrations: Demonstrations) -> Iterator[str]:
         )
 
 
-def _other_expert(config: Config) -> Iterator[str]:
+def other_expert(config: Config) -> Iterator[str]:
     """Tell that the table may compare with somebody else than whom the learner was shown."""
     if learner_of(config).reads_demonstrations and config.train.demonstrations != "expert":
         and_asks = f", whom {config.train.learner} asks too" if learner_of(config).asks_the_expert else ""

@@ -202,7 +202,7 @@ def test_where_no_car_departs_it_is_told_when_they_do(make, tmp_path, changes, s
 def test_a_named_vehicle_whose_route_cannot_be_driven_or_that_never_comes_is_told(make, tmp_path):
     path = two_roads_file(tmp_path)
     traffic = demand(tmp_path, *rows("short", "highway")) | {"host": "v0"}
-    with pytest.raises(InputError, match=r"^vehicle 'v0' does not drive along network\.course; "):
+    with pytest.raises(InputError, match=r"^vehicle 'v0' does not drive over the edges of network\.course in their "):
         make(world(network={"file": path, "course": ["highway"]}, traffic=traffic)).reset(seed=0)
     endless = '<flow id="f" begin="0" period="600"><route edges="highway"/></flow>'
     with pytest.raises(

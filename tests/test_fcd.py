@@ -78,7 +78,7 @@ def test_sizes_go_by_what_types_are_called(tmp_path):
     file.write_text(
         "timestep_time;vehicle_id;vehicle_x;vehicle_y;vehicle_angle;vehicle_speed;vehicle_type\n"
         "0;a;0;0;90;1;my_Truck_40t\n0;b;0;5;90;1;DEFAULT_VEHTYPE\n0;7;0;9;0;1;citybus\n0;c;0;9;0;1;business_car\n"
-        "0;d;0;9;0;1;DEFAULT_BIKETYPE\n"
+        "0;d;0;9;0;1;DEFAULT_BIKETYPE\n0;e;0;9;0;1;rail_sumo_host@e\n"
     )
     vehicles = fcd.read(file).vehicles
     assert [(one.id, one.vclass, one.length_m) for one in vehicles] == [
@@ -87,6 +87,7 @@ def test_sizes_go_by_what_types_are_called(tmp_path):
         ("7", "bus", 12.0),
         ("c", "passenger", 5.0),
         ("d", "bicycle", 1.6),
+        ("e", "driven car", 5.0),
     ]
 
 

@@ -9,7 +9,7 @@ import libsumo
 import numpy as np
 import pandas as pd
 import pytest
-from driving import KEEP, LEFT, RIGHT, UNSEEN
+from driving import ACCELERATE, KEEP, LEFT, RIGHT, UNSEEN
 from hypothesis import given
 from hypothesis import strategies as st
 from sketch import cut_road
@@ -277,6 +277,33 @@ def test_at_the_end_of_their_way_they_are_the_demands_vehicles_again_and_arrive(
     assert float(listed["one"].get("arrival")) > 0.0
     assert listed["one"].get("vType") == "slow"
     assert driven.inserted["one"].length_m == 7.0
+
+
+def test_who_goes_round_and_round_is_driven_in_every_round(tmp_path):
+    """Eight edges of 392 m, at 80 km/h a round takes 141 s."""
+    routes = tmp_path / "round.rou.xml"
+    edges = " ".join(f"ring{k}" for k in range(8))
+    routes.write_text(
+        f'<routes><vType id="car" speedFactor="1"/><route id="r" edges="{edges}" repeat="9"/>'
+        '<vehicle id="v" type="car" route="r" depart="0" departSpeed="20" departPos="100"/></routes>'
+    )
+    kinds = []
+
+    def watching(vehicle):
+        def decide(observation, agent):
+            kinds.append((agent.scene.time_s, libsumo.vehicle.getDistance(vehicle)))
+            return ACCELERATE
+
+        return decide
+
+    driven = Fleet(with_demand("ring5", routes), 1.0, SEED, watching)
+    driven.drive(450.0)
+    times_s, metres = map(np.array, zip(*kinds, strict=True))
+    assert (driven.driven, driven.contacts) == ({"v"}, 0)
+    assert np.diff(times_s).max() <= 1.1 + 1e-9  # a step of SUMO's between rounds
+    assert times_s[-1] > 449.0
+    assert metres[-1] > 3 * 8 * 392.0
+    assert driven.decisions == len(kinds)
 
 
 def test_a_route_too_short_for_a_host_is_left_to_sumo_and_told(tmp_path):

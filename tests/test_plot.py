@@ -83,8 +83,10 @@ def test_the_judges_two_means_share_a_panel(run):
 
 
 def test_a_run_without_an_iteration_is_refused(run):
-    with pytest.raises(InputError, match=r"has no iteration to draw"):
+    with pytest.raises(InputError, match=r"mine: no iteration to draw, as of a clone, which has none"):
         plot.learning_curves([run("mine", [])])
+    figure = plot.learning_curves([run("clone", []), run("rail", [1, 2])])
+    assert [text.get_text() for text in figure.legends[0].get_texts()] == ["rail"]
 
 
 @pytest.mark.parametrize("suffix", ["png", "svg", "pdf"])

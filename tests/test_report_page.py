@@ -205,12 +205,13 @@ def test_a_sweep_tells_by_type_and_where_vehicles_brake_hard(tmp_path):
     assert told["speed_kmh"].tolist() == [90.0] * 3
     assert told["time_loss_s_per_km"].tolist() == [3.0] * 3
     assert told["hard_brakings_per_vehkm"].tolist() == pytest.approx([0.5, 1.0, 1 / 3])
-    by_type, slow, by_edge = report_page._edges(edges)
+    by_type, lost, slow, by_edge = report_page._edges(edges)
     assert by_type.count("<tr>") == 1 + 3
     assert re.findall(r'scope="col" class="\w+">(.*?)<', by_edge) == ["edge", "as they are", "rule at 50%"]
     assert re.findall(r'data-value="(.*?)"', by_edge) == ["0.75", "0.5"]  # on the ramp alone
-    assert re.findall(r'data-value="(.*?)"', slow)[:2] == ["90.0", "90.0"]  # most is lost on the ramp
-    assert [one.count("Where") for one in report_page._edges(edges.assign(hard_brakings=0))] == [0, 1]
+    assert re.findall(r'data-value="(.*?)"', lost)[:2] == ["3.0", "3.0"]  # most is lost on the ramp
+    assert re.findall(r'data-value="(.*?)"', slow)[:2] == ["90.0", "90.0"]
+    assert len(list(report_page._edges(edges.assign(hard_brakings=0)))) == 3
 
 
 def test_a_sweep_and_a_study_show_their_tables_and_figures(tmp_path):

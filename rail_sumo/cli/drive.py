@@ -78,7 +78,8 @@ def evaluate(
 
     def keep(tables: "Tables", whole: Path, **more: str) -> None:
         tables.save(whole)
-        run.describe(whole, world, typed(), seed=seed, episodes=episodes, **more)
+        learned = {policy: roster.content_of(policy, world) for policy in policies}
+        run.describe(whole, world, typed(), seed=seed, episodes=episodes, drivers=learned, **more)
 
     try:
         place = files.whole_folder(out, overwrite=overwrite) if out and fcd else nullcontext()

@@ -116,7 +116,9 @@ def stretch_of(car: Inserted, config: Config) -> Stretch:
     edges = car.edges[: next((k for k, edge in enumerate(car.edges) if edge in car.edges[:k]), len(car.edges))]
     ahead = iter(edges)
     if not all(edge in ahead for edge in config.network.course):  # in this order, with others in between
-        raise CourseError(f"vehicle '{car.name}' does not drive over the edges of network.course in their order")
+        raise CourseError(
+            f"vehicle '{car.name}' does not drive over the edges of network.course in their order; name others"
+        )
     course = road.load(config.network.file, edges, vclass=car.vclass, limit_factor=config.network.limit_factor)
     return Stretch.along(course, config, car.front_m)
 

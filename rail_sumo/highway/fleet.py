@@ -4,7 +4,8 @@ import hashlib
 import math
 import shlex
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from contextlib import suppress
+from dataclasses import dataclass, replace
 from typing import Literal
 
 from rail_sumo import assets
@@ -67,7 +68,8 @@ class Fleet:
 
     Vehicles keep their departure, route, class and size. What a driven one does is what a single host would do: it
     decides every `episode.decision_period_s` from its own entry, and once more whenever a lane change ends. At the end
-    of what it can drive of its route, and after a contact, SUMO's own driver drives on as before.
+    of what it can drive of its route, and after a contact, SUMO's own driver drives on as before. Where the route comes
+    to an edge again, that is for a step alone.
 
     Args:
         world: network, demand, and how vehicles sense and drive.
@@ -139,6 +141,8 @@ class Fleet:
     def _step(self, simulation: Simulation, everybody: Rides) -> None:
         for gone in everybody.drive():
             self._count(gone)
+            if gone.agent.end == "end of road":
+                self._go_on(simulation, everybody, gone)
         self.teleported += [(simulation.now_s, name) for name in simulation.teleporting()]
         for car in simulation.departed():
             self.inserted[car.name] = car
@@ -166,6 +170,15 @@ class Fleet:
             self.undriven[car.name] = str(error)
             return
         self.driven.add(car.name)
+
+    def _go_on(self, simulation: Simulation, everybody: Rides, gone: Ride) -> None:
+        """Have a vehicle driven on whose route comes to an edge for the second time, before which its course ended."""
+        car = self.inserted[gone.agent.host.name]
+        now = simulation.seen(car.name)
+        if now is not None and len(now.edges) > 1:
+            here = replace(car, edges=now.edges, lane=now.lane, front_m=now.front_m, speed_mps=now.speed_mps)
+            with suppress(CourseError):  # then SUMO drives it on
+                everybody.enter(here, decide=gone.decides)
 
     def _count(self, ride: Ride) -> None:
         self.contacts += ride.contacts

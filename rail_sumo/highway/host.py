@@ -84,6 +84,7 @@ class Host:
         to_stop_m = acc.braking_distance_m(self.fastest_mps, adas.comfort_braking_mps2)
         self.junctions = Junctions(name, road, adas, sees_m=to_stop_m + SLACK_M)
         """What it meets at those ahead."""
+        self._before_m = 0.0
         self._lateral_m = 0.0
         self._asks = self._is_gentle = False
         self._assertive = ""  # as it was before it asked
@@ -142,6 +143,7 @@ class Host:
         """
         for what, value in own.items():
             self._set(what, value)
+        self._before_m = libsumo.vehicle.getDistance(self.name)  # where it is not driven for the first time
         self.ceiling_mps = max(min(self.fastest_mps, fastest_mps), speed_mps)  # below its speed SUMO would brake hard
         self._set("MaxSpeed", self.ceiling_mps)
 
@@ -261,8 +263,8 @@ class Host:
 
     @property
     def travelled_m(self) -> float:
-        """Its odometer: metres driven since its insertion."""
-        return libsumo.vehicle.getDistance(self.name)
+        """Its odometer: metres driven since its insertion, or since it has been taken over."""
+        return libsumo.vehicle.getDistance(self.name) - self._before_m
 
     def is_on_course(self, name: str) -> bool:
         """Return whether a vehicle on the road drives along its course, or has just come from it."""

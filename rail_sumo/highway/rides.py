@@ -25,7 +25,8 @@ class Ride:
 
     def __init__(self, agent: Agent, decide: Decide | None = None) -> None:
         self.agent = agent
-        self._decide = decide
+        self.decides = decide
+        """What decides for it."""
         self.decisions = 0
         """How many have been taken for it."""
         self._ordered = self._driven = 0  # steps of the present command
@@ -51,8 +52,8 @@ class Ride:
 
     def decide(self) -> None:
         """Take a decision for it."""
-        assert self._decide is not None
-        self.agent.decide(MetaAction(self._decide(self.agent.observation, self.agent)))
+        assert self.decides is not None
+        self.agent.decide(MetaAction(self.decides(self.agent.observation, self.agent)))
         self.decisions += 1
 
     def command(self, simulation: Simulation) -> None:

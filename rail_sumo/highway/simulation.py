@@ -210,6 +210,11 @@ class Simulation:
         """Return the vehicles that have been inserted in the last step; not those that park."""
         return inserted.read(libsumo.simulation.getDepartedIDList())
 
+    def seen(self, name: str) -> Inserted | None:
+        """Return a vehicle as it is now; None if it is on no edge of the road."""
+        on_road = name in libsumo.vehicle.getIDList()
+        return next(iter(inserted.read([name])), None) if on_road else None
+
     def take_over(self, car: Inserted) -> None:
         """Make a vehicle that has just been inserted the last of the hosts: as large as it is, and on its route."""
         host = self.hosts[-1]

@@ -14,6 +14,7 @@ from scipy.spatial import cKDTree
 
 from rail_sumo.errors import InputError
 from rail_sumo.film import Film, Ground, Vehicle
+from rail_sumo.highway.names import HOST
 from rail_sumo.highway.network.polylines import densified
 from rail_sumo.highway.network.sumo_xml import UNREADABLE, opened
 from rail_sumo.records import Floats
@@ -39,6 +40,8 @@ KINDS: dict[str, tuple[str, float, float]] = {
 """SUMO's vehicle class with its length and width, which floating-car data do not hold, by what a word in the vehicle
 type's name ends with."""
 CAR = ("passenger", 5.0, 1.8)
+DRIVEN = ("driven car", 5.0, 1.8)
+"""What the vehicles of a sweep are that we drive; the page marks them (`vehicles.js`)."""
 MOST_FRAMES = 200_000
 """A page of more moments would be too much for a browser."""
 
@@ -199,6 +202,8 @@ class _Reader(xml.sax.ContentHandler):
 
 
 def _vehicle(name: str, kind: str) -> Vehicle:
+    if kind.startswith(HOST):
+        return Vehicle(name, *DRIVEN)
     words = re.split(r"[^a-z]+", kind.lower())
     found = (KINDS[ending] for ending in KINDS if any(word.endswith(ending) for word in words))
     return Vehicle(name, *next(found, CAR))

@@ -47,19 +47,22 @@ def learning_curves(runs: Sequence[Path], against: Against = "steps") -> "Figure
 
     Runs in one folder whose names differ in a number at their end alone (`mine-seed0`, `mine-seed1`), with a seed of
     its own each, are one curve: their mean, with the 95 % confidence band of the mean (Student's t) and each run as a
-    thin line.
+    thin line. Runs without an iteration, such as clones, are left out.
 
     Args:
         runs: run directories.
         against: environment steps, or time at work.
 
     Raises:
-        InputError: matplotlib is not installed; no run directory, a damaged one, or one without an iteration.
+        InputError: matplotlib is not installed; no run directory, a damaged one, or none with an iteration.
     """
     require_matplotlib()
     from matplotlib.figure import Figure
 
-    groups = {at: [_progress(run) for run in of_group] for at, of_group in _grouped(runs).items()}
+    drawable = [run for run in runs if len(_progress(run))]
+    if not drawable:
+        raise InputError(f"{', '.join(map(str, runs))}: no iteration to draw, as of a clone, which has none")
+    groups = {at: [_progress(run) for run in of_group] for at, of_group in _grouped(drawable).items()}
     colours = [colour for colour, _ in zip(itertools.cycle(_COLOURS), groups, strict=False)]
     column, unit, label = _ACROSS[against]
     figure = Figure(figsize=(9.0, 6.0), layout="constrained")
@@ -186,8 +189,6 @@ def _progress(run: Path) -> pd.DataFrame:
         progress = pd.read_csv(run / PROGRESS)[list(PROGRESS_COLUMNS)]
     except (OSError, ValueError, KeyError) as error:
         raise InputError(f"'{run / PROGRESS}' is missing or damaged: {error}") from None
-    if progress.empty:
-        raise InputError(f"run '{run}' has no iteration to draw")
     return progress
 
 

@@ -240,7 +240,18 @@ def _edges(edges: pd.DataFrame) -> Iterator[str]:
     by_type = _table(rates(edges, ["arm", "type"]).rename(columns=short), caption)
     yield f"<details><summary>By type</summary>{by_type}</details>"
     for heading, told, summed, shown in (
-        ("Where time is lost", "Mean speed, km/h, on the {} edges where most time is lost", "time_loss_s", "speed_kmh"),
+        (
+            "Where time is lost",
+            "Time loss, s a kilometre, on the {} edges where most time is lost",
+            "time_loss_s",
+            "time_loss_s_per_km",
+        ),
+        (
+            "How fast it is there",
+            "Mean speed, km/h, on the {} edges where most time is lost",
+            "time_loss_s",
+            "speed_kmh",
+        ),
         (
             "Where vehicles brake hard",
             "Hard brakings a vehicle kilometre, on the {} edges with most of them",

@@ -15,7 +15,7 @@ from typing import NamedTuple
 import pandas as pd
 from rich.table import Table
 
-from rail_sumo import config_file, drivers, rollout, roster, run
+from rail_sumo import config_file, drivers, rollout, roster, run, training
 from rail_sumo.config import Config
 from rail_sumo.errors import InputError
 from rail_sumo.files import check_folder, whole_file
@@ -121,8 +121,11 @@ class Sweep:
         report.write(self.out, traffic=table, summary=tables.summary, differences=tables.differences, overwrite=True)
         with whole_file(self.out / EDGES) as partial:
             edges.to_parquet(partial, index=False)
-        sumo = sumo_command(self.config, traffic_seed(0, EVALUATION, 0))
-        run.describe(self.out, self.config, self.command, sumo=sumo, **({"notes": notes} if notes else {}))
+        learned = {name: "" if name == ACC else roster.content_of(name, self.config) for name in self.drivers}
+        sumo = sumo_command(training.located(self.config), traffic_seed(0, EVALUATION, 0))
+        run.describe(
+            self.out, self.config, self.command, drivers=learned, sumo=sumo, **({"notes": notes} if notes else {})
+        )
         with whole_file(self.out / "sweep.md") as partial:
             partial.write_text(markdown(self, tables), encoding="utf-8")
         self._draw(tables.summary)
@@ -238,7 +241,10 @@ class Sweep:
             pilot = rollout.fleet_of("nothing", world, 0.0, traffic_seed(0, EVALUATION, 0))
             begin_s, last_s = world.traffic.begin_s, demand_of(world).departs_s[1]
             watched_s = max(FOUND_OVER * self.duration_s, FOUND_WITHIN_S)
-            counts = pilot.drive(min(begin_s + watched_s, max(last_s, begin_s + 1.0)))
+            until_s = begin_s + watched_s
+            if last_s >= begin_s + self.duration_s:  # else who has departed by then is all that there is
+                until_s = min(until_s, last_s)
+            counts = pilot.drive(until_s)
             self.observer.advance({})
             seconds, settles = warm_up.found_s(counts)
             found_s = max(found_s, float(seconds))
@@ -257,13 +263,13 @@ class Sweep:
             begins_s = world.traffic.begin_s + warm_up_s
             ends_s = begins_s + self.duration_s
             if ends_s > last_s:
-                is_over = begins_s >= last_s
+                is_over = warm_up_s > 0.0 and begins_s >= last_s
                 moment, option = (
                     (f"begins at {begins_s:.0f}", "warm-up") if is_over else (f"ends at {ends_s:.0f}", "duration")
                 )
                 yield (
                     f"the last vehicle departs at {last_s:.0f} s, before the period {moment} s{self._at(setting)}: "
-                    f"choose a shorter --{option}, or lengthen the demand"
+                    f"unless they drive round and round, choose a shorter --{option}, or lengthen the demand"
                 )
 
     def _idle_keys(self) -> Iterator[str]:

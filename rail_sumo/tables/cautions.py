@@ -34,7 +34,8 @@ def backlog(table: pd.DataFrame) -> Iterator[str]:
         least = f"{waiting.min():.0f} to" if round(waiting.min()) < round(waiting.max()) else "about"
         yield (
             f"vehicles still wait for room to enter at the end, {least} {waiting.max():.0f} of them in the mean over "
-            f"seeds, by driver and share (column waiting); where fewer have entered, speeds are of less traffic"
+            f"seeds, by driver and share (column waiting); where fewer have entered, speeds are of less traffic, and "
+            "flow is less without a lower capacity"
         )
 
 

@@ -156,7 +156,7 @@ NAME_WIDTH = 14
 def table(summary: pd.DataFrame, *, width: int = WIDE) -> Table:
     """Return the table for the terminal, a row per policy: means ± half the 95 % interval; dimmed below, ratios.
 
-    Of a ratio the interval is shown, which need not lie evenly around it; the ratio where it has none.
+    Of a ratio the interval is shown, which need not lie evenly around it; itself where there are no intervals.
 
     The last column counts the contacts, in which the host hit anything or was hit; either ends an episode. The rest is
     in the files.
@@ -209,10 +209,10 @@ def _table(summary: pd.DataFrame, told: dict[str, tuple[str, int]], *, has_inter
             if has_intervals and np.isfinite(row["high"]):
                 cell += f" ± {(row['high'] - row['low']) / 2:.{decimals}f}"
             if compared and policy != reference and np.isfinite(row["ratio"]):
-                has_own = has_intervals and np.isfinite(row["ratio_high"])
-                ratio = (
-                    f"{row['ratio_low']:.2f}\N{EN DASH}{row['ratio_high']:.2f}" if has_own else f"{row['ratio']:.2f}"
-                )
+                ratio = f"{row['ratio']:.2f}"
+                if has_intervals and n > 1:  # where the reference's mean may be 0 a ratio has none
+                    low, high = row["ratio_low"], row["ratio_high"]
+                    ratio = f"{low:.2f}\N{EN DASH}{high:.2f}" if np.isfinite(high) else "no interval"
                 cell += f"\n[dim]{ratio}[/]"
             cells.append(cell)
         cells += [f"{by_metric.loc[(policy, metric), 'mean']:.{decimals}f}" for metric, decimals in told.values()]

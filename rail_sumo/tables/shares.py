@@ -96,7 +96,7 @@ def summarised(table: pd.DataFrame) -> pd.DataFrame:
 def _seeds_for(half_width: float, found: statistics.Estimate, seeds: int) -> float:
     """Return how many seeds an interval of half this width would take, if as many spread as these do."""
     reach = (found.high - found.low) / 2 * math.sqrt(seeds)
-    return math.ceil((reach / half_width) ** 2) if half_width and reach > 0 else math.nan
+    return max(math.ceil((reach / half_width) ** 2), 2) if half_width and reach > 0 else math.nan
 
 
 def compared(table: pd.DataFrame) -> pd.DataFrame:
@@ -251,8 +251,8 @@ def told_rows(table: pd.DataFrame, differences: pd.DataFrame) -> list[Row]:
         cells = {}
         for measure, (_, _, decimals) in TOLD.items():
             mean, difference = of_seeds[measure].mean(), ""
-            if share and np.isfinite(mean):
-                change = changes.loc[(driver, setting, share, measure)]
+            change = changes.loc[(driver, setting, share, measure)] if share else None
+            if change is not None and np.isfinite(change["difference"]):
                 reach = (change["difference_high"] - change["difference_low"]) / 2
                 within = f" ± {reach:.{decimals}f}" if np.isfinite(reach) else ""
                 difference = f"{change['difference']:+.{decimals}f}{within}"

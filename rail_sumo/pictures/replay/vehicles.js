@@ -5,6 +5,7 @@ import { forEachPresent } from "./decode.js";
 import { poseInSpan } from "./motion.js";
 import { letterAt } from "./timeline.js";
 
+const DRIVEN = "driven car"; // what fcd.py calls those of a sweep that are driven
 const BODY_PX = 11; // long enough to be drawn with a windscreen
 const BOX_PX = 4; // long enough to be drawn as a box
 const NAMES_PX = 3; // pixels a metre from which names are drawn
@@ -185,10 +186,10 @@ function drawBody(context, camera, pose, shade, look) {
   context.setTransform(cos, -sin, sin, cos, x * ratio, y * ratio); // now x points ahead, in pixels
   const long = Math.max(pose.size.lengthM * scale, 6) / 2;
   const wide = Math.max(pose.size.widthM * scale, 3) / 2;
-  const isSensed = look.sensed.has(pose.vehicle);
+  const isMarked = look.sensed.has(pose.vehicle) || pose.size.vclass === DRIVEN;
   context.fillStyle = shade === null ? look.palette.host : SHADES[shade];
-  context.strokeStyle = isSensed ? look.palette.host : look.palette.outline;
-  context.lineWidth = isSensed ? 2.5 : 1;
+  context.strokeStyle = isMarked ? look.palette.host : look.palette.outline;
+  context.lineWidth = isMarked ? 2.5 : 1;
   context.beginPath();
   if (2 * long < BODY_PX) {
     context.moveTo(-long, -wide);
