@@ -5,7 +5,7 @@ import re
 from collections.abc import Mapping
 from typing import Annotated, Any, Literal, NamedTuple
 
-from pydantic import AfterValidator, BaseModel, ConfigDict, Field, model_validator
+from pydantic import AfterValidator, BaseModel, BeforeValidator, ConfigDict, Field, model_validator
 
 from rail_sumo.records import KMH, SECONDS_PER_STEP
 
@@ -28,6 +28,11 @@ Range = Annotated[tuple[NonNegative, NonNegative], AfterValidator(_ordered)]
 """The lowest and the highest value that may be drawn."""
 Shares = Annotated[tuple[Share, Share], AfterValidator(_ordered)]
 LimitFactors = Annotated[tuple[LimitFactor, LimitFactor], AfterValidator(_ordered)]
+
+
+def _as_id(given: object) -> object:
+    """Return a whole number as the text that it was typed as: ids often look like one."""
+    return str(given) if type(given) is int else given
 
 
 class _Section(BaseModel):
@@ -123,7 +128,7 @@ class Traffic(_Section):
     """When to begin, in SUMO's time: 25200 for seven in the morning."""
     warm_up_s: NonNegative = 60.0
     """How long the user's own demand drives before the host enters."""
-    host: Annotated[str, Field(coerce_numbers_to_str=True)] = "replaces"
+    host: Annotated[str, BeforeValidator(_as_id)] = "replaces"
     """Who the host is in it: it "replaces" a car (without cars, another motor vehicle), drawn by the seed, with its
     departure and route, or the vehicle with this id; or it is "added" to the demand, and drives along `network.course`,
     or the longest way."""

@@ -138,6 +138,10 @@ def evaluate(
         if results.any_driven:
             raise Interrupted(results.tables(), len(labels)) from None
         raise
+    except Exception as error:  # of a driver of somebody's own
+        name, episode = labels[results.n_added]
+        error.add_note(f"while '{name}' drove episode {episode}")
+        raise
     if not results.any_driven:
         raise InputError(results.undriven[0][-1])
     for name, episode, why in results.undriven:
@@ -184,6 +188,11 @@ class _Results:
         if whole:
             self._rows = [row for row in self._rows if row["episode"] < whole]
             self._decided = [of_episode for of_episode in self._decided if of_episode[1] < whole]
+
+    @property
+    def n_added(self) -> int:
+        """How many episodes there are."""
+        return len(self._rows)
 
     @property
     def any_driven(self) -> bool:

@@ -110,6 +110,10 @@ def test_explained_it_is_the_same(given_config):
     assert tomllib.loads(config_file.explained(given_config)) == tomllib.loads(config_file.dumps(given_config))
 
 
+def test_a_vehicles_id_that_looks_like_a_number_is_an_id():
+    assert config_file.load(None, ["traffic.host=250"]).traffic.host == "250"
+
+
 def test_a_section_and_a_key_are_explained_just_before_they_stand():
     lines = config_file.explained(Config()).splitlines()
     assert max(map(len, lines)) <= 120

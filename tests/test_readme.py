@@ -92,7 +92,7 @@ def test_the_configuration_shown_is_one_and_changes_what_it_names(tmp_path):
 def test_the_python_shown_runs_in_an_empty_folder(tmp_path):
     (training,) = shown("docs/start.md", "python")
     (edges,) = shown("docs/share.md", "python")
-    (over_trainings,) = shown("docs/learners.md", "python")
+    over_trainings, apart = shown("docs/learners.md", "python")
     (environment,) = shown("README.md", "python")
     (floating_car_data,) = shown("docs/watch.md", "python")
     (tmp_path / "training.py").write_text(shortened(training), encoding="utf-8")
@@ -102,6 +102,8 @@ def test_the_python_shown_runs_in_an_empty_folder(tmp_path):
         shutil.copytree(tmp_path / "runs" / "linear", tmp_path / "runs" / f"mine-seed{seed}")
     (tmp_path / "over_trainings.py").write_text(over_trainings.replace("episodes=16", "episodes=1"), encoding="utf-8")
     assert re.fullmatch(r"0\.\d+ \(.* to .*\) of the expert's speed", run(tmp_path, "over_trainings.py").strip())
+    brief = apart.replace("range(16)", "range(4)").replace('"]', '", "episode.duration_s=60"]', 1)
+    assert re.fullmatch(r"told apart: [01]\.\d\d", run(tmp_path, "-c", brief).strip())
     assert "(48,)" in run(tmp_path, "-c", environment + "print(observation.shape)\n")
     (command,) = re.findall(r"# rail-sumo (eval .*)", floating_car_data)
     run(tmp_path, "-c", "from rail_sumo import cli; cli.main()", *command.split(), "--episodes", "1")

@@ -267,11 +267,12 @@ def test_what_is_no_folder_of_ours_or_is_damaged_is_told_in_one_line(tmp_path, r
 
 def test_an_evaluation_keeps_what_made_it_to_be_driven_again_from_any_folder(rail_sumo, tmp_path):
     (tmp_path / "my.net.xml").write_bytes(assets.network("highway3").read_bytes())
-    words = ["eval", "keep", "--network", "my.net.xml", "--episodes", "1", "--seed", "5", "--out", "my out"]
+    words = ["eval", "keep", "rail", "--network", "my.net.xml", "--episodes", "1", "--seed", "5", "--out", "my out"]
     assert rail_sumo(*words)[0] == 0
     about = json.loads((tmp_path / "my out" / "evaluation.json").read_text())
-    assert about["command"] == "rail-sumo eval keep --network my.net.xml --episodes 1 --seed 5 --out 'my out'"
+    assert about["command"] == "rail-sumo eval keep rail --network my.net.xml --episodes 1 --seed 5 --out 'my out'"
     assert about["seed"] == 5
+    assert about["drivers"] == {"keep": "", "rail": assets.sha256(assets.driver("rail") / "policy.safetensors")}
     kept = config_file.load(tmp_path / "my out" / "world.toml")
     assert kept.network.file == str(tmp_path / "my.net.xml")
 

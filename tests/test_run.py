@@ -543,6 +543,32 @@ def test_if_none_could_be_driven_it_is_an_error(small, monkeypatch):
         run.evaluate({"rule": "rule", "keep": "keep"}, small, episodes=2, seed=0)
 
 
+def test_whose_own_driver_failed_and_when_is_told(small, monkeypatch):
+    def fails(task):
+        if task.driver != "keep":
+            raise ZeroDivisionError
+        return drive(task)
+
+    monkeypatch.setattr(rollout, "drive", fails)
+    with pytest.raises(ZeroDivisionError) as failed:
+        run.evaluate({"keep": "keep", "mine": "rule"}, small, episodes=2, seed=0)
+    assert failed.value.__notes__ == ["while 'mine' drove episode 0"]
+
+
+def test_a_demand_with_one_car_alone_to_draw_is_told_of(tmp_path, monkeypatch):
+    notes = []
+    monkeypatch.setattr(type(rollout.SILENT), "note", lambda observer, text: notes.append(text))
+    for number in (1, 3):
+        cars = "".join(f'<vehicle id="{k}" depart="{200 * k}" departLane="1" route="r"/>' for k in range(number))
+        (tmp_path / "few.rou.xml").write_text(f'<routes><route id="r" edges="highway"/>{cars}</routes>')
+        traffic = [f'traffic.routes=["{tmp_path / "few.rou.xml"}"]', "traffic.warm_up_s=0", "episode.duration_s=2"]
+        world = config_file.load(None, ["network.file=highway3", *traffic])
+        hosts = run.evaluate({"keep": "keep"}, world, episodes=6, seed=0).episodes["host"].nunique()
+        assert hosts == (1 if number == 1 else 2)  # the first of three departs before any moment that is drawn
+    (told,) = notes
+    assert told.startswith("every episode drives the same car, '0', since the demand has no other to draw")
+
+
 def test_floating_car_data_that_were_cut_off_are_refused(tmp_path, monkeypatch):
     """On a full disk SUMO stops writing and tells nobody."""
     attempt_all = run.attempt_all
