@@ -239,6 +239,7 @@ def test_an_edge_that_traffic_no_longer_comes_to_is_told_of():
     (note,) = cautions.emptied(edges)
     assert "than at share 0 (edges.parquet): rule at 50%: exit (9 of 60): they may stand before" in note
     assert not list(cautions.emptied(edges[edges["driver"] != "rule"]))
+    assert not list(cautions.emptied(edges[edges["driver"] != "sumo"]))  # nobody was on the road
 
 
 @pytest.mark.parametrize(("driver", "told"), [("acc", True), ("rule", False)])

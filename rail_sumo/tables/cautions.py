@@ -74,12 +74,12 @@ def emptied(edges: pd.DataFrame) -> Iterator[str]:
     """Tell where far fewer vehicles come to an edge than at share 0, as to an exit before which they stand."""
     within_a_junction = edges["edge"].str.startswith(":")
     once = shares.told_once(edges[~within_a_junction])
-    counts = once.groupby([*shares.ARM, "edge"], sort=False)["n_vehicles"].sum()
-    as_they_are = counts.xs((shares.AS_THEY_ARE, 0.0), level=("driver", "share"))
+    counts = once.groupby([*shares.ARM, "edge"], sort=False)["n_vehicles"].sum().reset_index()
+    as_they_are = counts[counts["driver"] == shares.AS_THEY_ARE]
     told = []
     for (driver, setting, share), of_arm in counts.groupby(shares.ARM, sort=False):
-        before = as_they_are.xs(setting, level="setting")
-        now = of_arm.droplevel(shares.ARM).reindex(before.index, fill_value=0)
+        before = as_they_are[as_they_are["setting"] == setting].set_index("edge")["n_vehicles"]
+        now = of_arm.set_index("edge")["n_vehicles"].reindex(before.index, fill_value=0)
         gone = before[(before >= AT_LEAST) & (now < FEWER * before)].index
         if len(gone):
             worst = (now[gone] / before[gone]).nsmallest(MOST_TOLD).index
