@@ -183,7 +183,7 @@ def parting(length_m):
 def test_who_must_go_where_the_other_is_get_past_one_another(tmp_path, touching, rows, apart_m):
     """All cars in the right lane have to go to the left, and all in the left one to the right."""
     network, routes = tmp_path / "parting.net.xml", tmp_path / "crossing.rou.xml"
-    network.write_text(parting(200.0))
+    network.write_text(parting(400.0))
     cars = "".join(
         f'<vehicle id="{way}{k}" type="car" depart="0" departLane="{lane}" departPos="{start_m - 10 * k}">'
         f'<route edges="part0 {way}"/></vehicle>'
@@ -231,6 +231,24 @@ def test_departures_types_and_vehicles_are_the_same_at_every_share(tmp_path, net
     assert len(as_they_are[0]) > 50
     for share, who in ((0.5, driver("rule", world)), (1.0, "acc")):
         assert of(*trips(world, share, who, tmp_path)) == as_they_are
+
+
+def test_behind_driven_cars_as_many_enter_as_behind_others(tmp_path):
+    """SUMO would want some 50 m more behind a car that may brake at 9 m/s²."""
+    network, routes = tmp_path / "road.net.xml", tmp_path / "dense.rou.xml"
+    network.write_text(cut_road(3000.0, lanes=2))
+    routes.write_text(
+        '<routes><vType id="car" speedFactor="1" sigma="0" decel="4.5"/><route id="r" edges="part0"/>'
+        '<flow id="f" type="car" route="r" begin="0" end="90" period="0.8" departLane="free" departSpeed="30"/>'
+        "</routes>"
+    )
+    world = with_demand(network, routes)
+    as_they_are, driven = (Fleet(world, share, SEED, driver("keep", world)) for share in (0.0, 1.0))
+    as_they_are.drive(60.0)
+    driven.drive(60.0)
+    assert len(as_they_are.inserted) > 60
+    assert len(driven.inserted) > 0.9 * len(as_they_are.inserted)
+    assert driven.contacts == 0
 
 
 def test_left_as_they_are_a_share_drives_as_without_one_to_the_byte(tmp_path):

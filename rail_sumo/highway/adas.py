@@ -276,8 +276,12 @@ def _within_limits(speed_mps: float, host: HostState, config: config.Adas, *, st
 
 def _lane_end(host: HostState) -> tuple[tuple[float, float], ...]:
     lane_ends_in_m = host.ends_in_m(host.lane)
-    short_m = MAKES_WAY_M if _way_on(host) == LEFT else LANE_END_SHORT_M
-    return () if math.isinf(lane_ends_in_m) else ((lane_ends_in_m - short_m, 0.0),)
+    if math.isinf(lane_ends_in_m):
+        return ()
+    lanes = range(host.rightmost_lane, host.leftmost_lane + 1)
+    farther = [lane for lane in lanes if host.ends_in_m(lane) > lane_ends_in_m]
+    goes_left = min(farther, key=lambda lane: abs(lane - host.lane), default=host.lane) > host.lane
+    return ((lane_ends_in_m - (MAKES_WAY_M if goes_left else LANE_END_SHORT_M), 0.0),)
 
 
 def slowed_for(host: HostState, config: config.Adas, speed_mps: float) -> Literal["limit", "stop", "lane end"]:

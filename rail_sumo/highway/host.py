@@ -41,6 +41,9 @@ GENTLE_MPS2 = 3.0
 """How hard SUMO may brake the host for who comes first, where it is slow and near the line."""
 EXPECTED_BRAKING_MPS2 = 4.5
 """The braking that other vehicles expect of the host."""
+ENTRY_M = 100.0
+"""From where it enters so far the host brakes no harder than others expect: SUMO lets a vehicle in behind one that may
+brake harder only at a longer gap, at 110 km/h by some 50 m, and fewer would enter where many are driven."""
 EDGES_PER_STEP = 10
 """Onto no more edges than these, junctions' insides included, does a vehicle come within a step."""
 SLACK_M = 100.0
@@ -86,7 +89,7 @@ class Host:
         """What it meets at those ahead."""
         self._before_m = 0.0
         self._lateral_m = 0.0
-        self._asks = self._is_gentle = False
+        self._asks = self._is_gentle = self._is_entering = False
         self._assertive = ""  # as it was before it asked
         self.aims_at = ""
         """The lane that it is about to move into; empty if none."""
@@ -144,6 +147,8 @@ class Host:
         for what, value in own.items():
             self._set(what, value)
         self._before_m = libsumo.vehicle.getDistance(self.name)  # where it is not driven for the first time
+        self._is_entering = self._before_m < ENTRY_M
+        self._set("Decel", self._hardest_mps2)
         self.ceiling_mps = max(min(self.fastest_mps, fastest_mps), speed_mps)  # below its speed SUMO would brake hard
         self._set("MaxSpeed", self.ceiling_mps)
 
@@ -331,6 +336,9 @@ class Host:
             self.junctions.heed_signals(self.speeds_mps[-1])
             self._be_gentle(self.junctions.is_slow_at_line(self.speeds_mps[-1]))
         self._set_mps = command.speed_mps
+        if self._is_entering and self.travelled_m >= ENTRY_M:
+            self._is_entering = False
+            self._set("Decel", self._hardest_mps2)
         if command.asks or self._asks:
             self._ask(command.asks)
         if command.cross:
@@ -380,9 +388,16 @@ class Host:
         SUMO finds that out a second after it has called the way open, and stops then as late and as hard as it may.
         """
         if is_gentle != self._is_gentle:
-            hardest = self._adas.emergency_braking_mps2
-            self._set("Decel", min(GENTLE_MPS2, hardest) if is_gentle else hardest)
             self._is_gentle = is_gentle
+            self._set("Decel", self._hardest_mps2)
+
+    @property
+    def _hardest_mps2(self) -> float:
+        """How hard SUMO may brake the host now."""
+        hardest = self._adas.emergency_braking_mps2
+        if self._is_gentle:
+            return min(GENTLE_MPS2, hardest)
+        return min(EXPECTED_BRAKING_MPS2, hardest) if self._is_entering else hardest
 
     def drive(self) -> None:
         """Tell SUMO the speed for the next step: the set speed, or what adaptive cruise control makes of it."""
