@@ -138,6 +138,8 @@ def evaluate(
         if results.any_driven:
             raise Interrupted(results.tables(), len(labels)) from None
         raise
+    except InputError:
+        raise
     except Exception as error:  # of a driver of somebody's own
         name, episode = labels[results.n_added]
         error.add_note(f"while '{name}' drove episode {episode}")
