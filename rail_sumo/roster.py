@@ -35,7 +35,7 @@ def world(policies: Iterable[str], overrides: Iterable[str] = (), *, config: Pat
         InputError: a policy is neither, it senses otherwise than `overrides` ask, or what `config_file.load` raises.
     """
     named = [_name_and_mode(policy)[0] for policy in policies]
-    folders = [Path(name) for name in named if not drivers.is_name(name) and not _is_from_outside(name)]
+    folders = [Path(name) for name in named if _is_path(name)]
     for folder in folders:
         _require_folder(folder)
     chosen = config_file.load(config or (folders[0] / CONFIG if folders else None), overrides)
@@ -147,6 +147,11 @@ def _is_from_outside(policy: str) -> bool:
     return is_written_so and not drivers.is_name(who) and not Path(who).is_dir()
 
 
+def _is_path(policy: str) -> bool:
+    """Whether it is no name, but a folder's path."""
+    return not drivers.is_name(policy) and not _is_from_outside(policy)
+
+
 def doubts(policies: Sequence[str], world: Config) -> list[str]:
     """Return what the names of the policies do not tell of who drives.
 
@@ -166,11 +171,7 @@ def doubts(policies: Sequence[str], world: Config) -> list[str]:
 def judges_of(policies: Iterable[str]) -> dict[str, RunDirectory]:
     """Return the runs of those policies that were learned, which may have a judge; see `learners.verdicts`."""
     named = {policy: _name_and_mode(policy)[0] for policy in policies}
-    learned = {
-        policy: name
-        for policy, name in named.items()
-        if name in drivers.SHIPPED or not (drivers.is_name(name) or _is_from_outside(name))
-    }
+    learned = {policy: name for policy, name in named.items() if name in drivers.SHIPPED or _is_path(name)}
     folders = {policy: _folder_of(name) for policy, name in learned.items()}
     return {policy: RunDirectory(folder) for policy, folder in folders.items() if not assets.is_expert(folder)}
 

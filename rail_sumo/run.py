@@ -116,7 +116,8 @@ def evaluate(
     fcd = Path(fcd) if fcd else None
     if fcd:
         _check_fcd(fcd, workers)
-    for warning in demand.warnings(demand.read(world.traffic), world.traffic):
+    own = demand.read(world.traffic)
+    for warning in demand.warnings(own, world.traffic):
         observer.note(warning)
     # One episode of everybody's after another: where that is interrupted, everybody has driven all but the last.
     labels = [(name, episode) for episode in range(episodes) for name in policies]
@@ -152,7 +153,7 @@ def evaluate(
         _require_whole(fcd)
     tables = results.tables()
     hosts = tables.episodes["host"].dropna().unique()
-    if world.traffic.host == "replaces" and demand.read(world.traffic).has_traffic and episodes > 1 and len(hosts) == 1:
+    if world.traffic.host == "replaces" and own.has_traffic and episodes > 1 and len(hosts) == 1:
         observer.note(
             f"every episode drives the same car, '{hosts[0]}', since the demand has no other to draw: the intervals "
             "tell nothing of other cars; name one by traffic.host, or change traffic.begin_s"
@@ -324,16 +325,18 @@ def require_drivable(world: Config, episodes: int = 1, who: Iterable[Who] = ("ke
         HighwayEnv(fixed, hands_off=hands_off, companions=deciders("keep", fixed, 0))
 
 
-def describe(folder: Path, world: Config, command: str, **more: Any) -> None:
+def describe(folder: Path, world: Config, command: str, *, notes: Sequence[str] = (), **more: Any) -> None:
     """Write beside tables what made them: the command, the world, the SHA-256 of its files, and the versions.
 
     Args:
         folder: of the tables.
         world: where was driven.
         command: what was typed.
+        notes: what to know of the tables.
         more: what else there is to tell, by name, or in place of these: more `files`.
     """
-    about = {"command": command, "files": training.world_inputs(world), **more, **_versions()}
+    noted = {"notes": list(notes)} if notes else {}
+    about = {"command": command, "files": training.world_inputs(world), **more, **noted, **_versions()}
     for name, text in (
         (report.WORLD, dumps(training.located(world))),
         (report.ORIGIN, json.dumps(about, indent=2) + "\n"),

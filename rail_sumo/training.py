@@ -93,7 +93,7 @@ def doubts(config: Config, demonstrations: Demonstrations) -> Iterator[str]:
 
 
 def other_expert(config: Config) -> Iterator[str]:
-    """Tell that the table may compare with somebody else than whom the learner was shown."""
+    """Tell that the table compares with `train.expert`, and the demonstrations may be of another driver."""
     if learner_of(config).reads_demonstrations and config.train.demonstrations != "expert":
         and_asks = f", whom {config.train.learner} asks too" if learner_of(config).asks_the_expert else ""
         yield (

@@ -42,13 +42,11 @@ def demand_of(world: Config) -> Demand:
     """
     if world.varied.networks:
         raise InputError("a share is of the cars of one demand; leave out varied.networks")
-    own, files = demand.read(world.traffic), (*world.traffic.routes, *world.traffic.additional)
-    if not own.has_traffic and files:
-        raise InputError(f"a share is of the cars of a demand, and no vehicle is in {', '.join(files)}")
+    own = demand.read(world.traffic)
     if not own.has_traffic:
-        raise InputError(
-            "a share is of the cars of a demand, and there is none; name its files with --routes, or a .sumocfg"
-        )
+        files = ", ".join((*world.traffic.routes, *world.traffic.additional))
+        none = f"no vehicle is in {files}" if files else "there is none; name its files with --routes, or a .sumocfg"
+        raise InputError(f"a share is of the cars of a demand, and {none}")
     return own
 
 
@@ -172,7 +170,7 @@ class Fleet:
         self.driven.add(car.name)
 
     def _go_on(self, simulation: Simulation, everybody: Rides, gone: Ride) -> None:
-        """Have a vehicle driven on whose route comes to an edge for the second time, before which its course ended."""
+        """Take a vehicle over again where its route goes on: its course ended where the route repeats an edge."""
         car = self.inserted[gone.agent.host.name]
         now = simulation.seen(car.name)
         if now is not None and len(now.edges) > 1:

@@ -3,7 +3,7 @@
 import itertools
 import re
 import textwrap
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from importlib.util import find_spec
 from pathlib import Path
 from typing import TYPE_CHECKING, Literal
@@ -59,10 +59,10 @@ def learning_curves(runs: Sequence[Path], against: Against = "steps") -> "Figure
     require_matplotlib()
     from matplotlib.figure import Figure
 
-    drawable = [run for run in runs if len(_progress(run))]
+    drawable = {run: progress for run in runs if len(progress := _progress(run))}
     if not drawable:
         raise InputError(f"{', '.join(map(str, runs))}: no iteration to draw, as of a clone, which has none")
-    groups = {at: [_progress(run) for run in of_group] for at, of_group in _grouped(drawable).items()}
+    groups = {at: [drawable[run] for run in of_group] for at, of_group in _grouped(drawable).items()}
     colours = [colour for colour, _ in zip(itertools.cycle(_COLOURS), groups, strict=False)]
     column, unit, label = _ACROSS[against]
     figure = Figure(figsize=(9.0, 6.0), layout="constrained")
@@ -158,7 +158,7 @@ def group_of(run: Path) -> Path:
     return run.with_name(re.sub(r"(?<=.)[-_]?(seed)?\d+$", "", run.name))
 
 
-def _grouped(runs: Sequence[Path]) -> dict[Path, list[Path]]:
+def _grouped(runs: Iterable[Path]) -> dict[Path, list[Path]]:
     """Return the runs that become one curve; of one seed they are no trainings independent of one another."""
     groups: dict[Path, list[Path]] = {}
     for path, run in {run.resolve(): run for run in runs}.items():

@@ -132,7 +132,7 @@ class Experiment:
 
     @property
     def notes(self) -> tuple[str, ...]:
-        """What to know of whoever everything is compared with."""
+        """That the demonstrations may not be of the expert that everything is compared with."""
         if self.config.train.demonstrations == "expert":
             return ()
         return (
@@ -175,7 +175,7 @@ class Experiment:
                 self.observer.advance({})
         report.write(self.out, cells=_typed(self._all_finished()), overwrite=True)
         files = training.inputs_of(self.config) | training.expert_input(self.config)
-        run.describe(self.out, self.config, self.command, files=files, **({"notes": notes} if notes else {}))
+        run.describe(self.out, self.config, self.command, notes=notes, files=files)
         return _typed(driven)
 
     def _work(self, cell: Cell) -> "_Work":

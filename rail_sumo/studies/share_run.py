@@ -1,4 +1,4 @@
-"""One run of a sweep: a simulation of a demand of which a share of the cars has a driver, and the files it comes to."""
+"""One run of a sweep: a demand is simulated with a share of its cars driven, and what happened is written to files."""
 
 import json
 import tempfile
@@ -99,7 +99,8 @@ class ShareRun:
     def is_finished(self) -> bool:
         """Whether all of its files are there, and made of the same."""
         files = (self.file, self.edges_file, *((self.fcd_file,) if self.keeps_fcd else ()))
-        return all(cells.made_of(file) == self.made_of for file in files)
+        wanted = self.made_of
+        return all(cells.made_of(file) == wanted for file in files)
 
 
 def finish(one: ShareRun) -> pd.DataFrame:

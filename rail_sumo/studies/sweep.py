@@ -121,11 +121,9 @@ class Sweep:
         report.write(self.out, traffic=table, summary=tables.summary, differences=tables.differences, overwrite=True)
         with whole_file(self.out / EDGES) as partial:
             edges.to_parquet(partial, index=False)
-        learned = {name: "" if name == ACC else roster.content_of(name, self.config) for name in self.drivers}
+        learned = {one.driver: one.learned for one in work if one.driver in self.drivers}
         sumo = sumo_command(training.located(self.config), traffic_seed(0, EVALUATION, 0))
-        run.describe(
-            self.out, self.config, self.command, drivers=learned, sumo=sumo, **({"notes": notes} if notes else {})
-        )
+        run.describe(self.out, self.config, self.command, notes=notes, drivers=learned, sumo=sumo)
         with whole_file(self.out / "sweep.md") as partial:
             partial.write_text(markdown(self, tables), encoding="utf-8")
         self._draw(tables.summary)
@@ -202,6 +200,7 @@ class Sweep:
                 for name in self.drivers
                 if name != AS_THEY_ARE
             }
+            learned = {name: "" if name == ACC else roster.content_of(name, world) for name in who}
             if self.key.startswith(("lidar.", "observation.")):
                 for name, driver in who.items():
                     drivers.require_same_senses(driver, world, f"driver '{name}'")
@@ -221,8 +220,7 @@ class Sweep:
                 yield one
                 for name, driver in who.items():
                     for share in shares:
-                        learned = "" if name == ACC else roster.content_of(name, world)
-                        yield replace(one, driver=name, who=driver, learned=learned, share=share, shares=(share,))
+                        yield replace(one, driver=name, who=driver, learned=learned[name], share=share, shares=(share,))
 
     def _world(self, setting: str) -> Config:
         if self.key == SHARE:

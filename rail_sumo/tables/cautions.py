@@ -1,6 +1,6 @@
 """What the runs of a sweep tell against its own figures: who waits, a road that fills up or locks, an empty exit."""
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 
 import pandas as pd
 
@@ -47,11 +47,10 @@ def growth(table: pd.DataFrame) -> Iterator[str]:
     growth = ends - begins
     grown = growth[(growth >= GROWN) & (growth > GROWN_BY * begins)].sort_values(ascending=False)
     if len(grown):
-        told = [f"{shares.called(*arm)} from {begins[arm]:.0f} to {ends[arm]:.0f}" for arm in grown.index[:MOST_TOLD]]
-        more = f" and {len(grown) - MOST_TOLD} more" if len(grown) > MOST_TOLD else ""
+        told = [f"{shares.called(*arm)} from {begins[arm]:.0f} to {ends[arm]:.0f}" for arm in grown.index]
         yield (
-            f"the road fills up in the period, by vehicles in the mean over seeds: {'; '.join(told)}{more}: figures "
-            "depend on when it begins and ends"
+            f"the road fills up in the period, by vehicles in the mean over seeds: {_listed(told)}: figures depend on "
+            "when it begins and ends"
         )
 
 
@@ -63,10 +62,9 @@ def locks(table: pd.DataFrame) -> Iterator[str]:
             f"{shares.called(driver, setting, share)} {', '.join(map(str, of_arm['seed']))}"
             for (driver, setting, share), of_arm in locked.groupby(shares.ARM, sort=False)
         ]
-        more = f" and {len(told) - MOST_TOLD} more" if len(told) > MOST_TOLD else ""
         yield (
             f"SUMO took vehicles off the road that had stood too long (column teleports), with the seeds "
-            f"{'; '.join(told[:MOST_TOLD])}{more}: the road may be locked there, and means are of unlike runs"
+            f"{_listed(told)}: the road may be locked there, and means are of unlike runs"
         )
 
 
@@ -86,8 +84,12 @@ def emptied(edges: pd.DataFrame) -> Iterator[str]:
             where = ", ".join(f"{edge} ({now[edge]} of {before[edge]})" for edge in worst)
             told.append(f"{shares.called(driver, setting, share)}: {where}")
     if told:
-        more = f"; and {len(told) - MOST_TOLD} more" if len(told) > MOST_TOLD else ""
         yield (
-            f"far fewer vehicles come to some edges than at share 0 (edges.parquet): "
-            f"{'; '.join(told[:MOST_TOLD])}{more}: they may stand before, or have not come so far"
+            f"far fewer vehicles come to some edges than at share 0 (edges.parquet): {_listed(told)}: they may stand "
+            "before, or have not come so far"
         )
+
+
+def _listed(told: Sequence[str]) -> str:
+    more = f" and {len(told) - MOST_TOLD} more" if len(told) > MOST_TOLD else ""
+    return "; ".join(told[:MOST_TOLD]) + more
