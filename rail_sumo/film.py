@@ -13,7 +13,16 @@ from numpy.typing import NDArray
 from rail_sumo.records import Floats, MetaAction
 
 Holding = Literal[
-    "set speed", "limit", "top speed", "vehicle ahead", "emergency", "signal", "right of way", "lane end", "SUMO"
+    "set speed",
+    "limit",
+    "top speed",
+    "vehicle ahead",
+    "emergency",
+    "signal",
+    "right of way",
+    "lane end",
+    "gap beside",
+    "SUMO",
 ]
 """What the host's speed followed: what the driver has set, or what the assistance layer made of it."""
 

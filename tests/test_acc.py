@@ -170,3 +170,32 @@ def test_it_starts_off_smoothly_behind_a_queue_that_moves_on():
 def test_it_sees_250_m_ahead_and_farther_where_comfortable_braking_needs_more():
     assert acc.sight_m(80 / KMH, DEFAULT) == 250.0
     assert acc.sight_m(40.0, DEFAULT) == pytest.approx(40**2 / 4 + 2 + 40)
+
+
+@given(
+    st.floats(0.0, 40.0), st.floats(-10.0, 100.0), st.floats(0.0, 40.0), st.floats(0.0, 300.0), st.floats(0.0, 300.0)
+)
+def test_who_falls_in_or_lets_in_brakes_comfortably_at_most(speed, gap_m, other, stands_in_m, farther_m):
+    comfortably = speed - DEFAULT.comfort_braking_mps2 * acc.SECONDS_PER_STEP - 1e-9
+    ahead = Leader(gap_m, other)
+    assert acc.falling_in_mps(speed, ahead, DEFAULT) >= comfortably
+    letting_in = acc.letting_in_mps(speed, ahead, stands_in_m, DEFAULT)
+    assert letting_in >= comfortably
+    assert acc.letting_in_mps(speed, ahead, stands_in_m + farther_m, DEFAULT) <= letting_in  # room enough stays so
+
+
+def test_nobody_is_let_in_for_whom_there_would_be_no_room():
+    """At 14 m/s it takes 49 m to stop comfortably. One that stands 51.9 m ahead, at its lane's end, is passed."""
+    assert acc.letting_in_mps(14.0, Leader(51.9, 0.0), 0.0, DEFAULT) == math.inf
+    assert acc.letting_in_mps(14.0, Leader(52.1, 0.0), 0.0, DEFAULT) < 14.0
+    assert acc.letting_in_mps(14.0, Leader(22.1, 10.0), 30.0, DEFAULT) < 14.0
+
+
+def test_who_falls_in_comes_to_a_gap_that_is_long_enough():
+    speed, gap_m = 20.0, -4.0
+    for _ in range(300):
+        slower = acc.falling_in_mps(speed, Leader(gap_m, 20.0), DEFAULT)
+        speed = min(slower, speed + DEFAULT.acceleration_mps2 * acc.SECONDS_PER_STEP)
+        gap_m += (20.0 - speed) * acc.SECONDS_PER_STEP
+    assert gap_m > DEFAULT.standstill_gap_m + DEFAULT.time_gap_s * 20.0
+    assert speed == pytest.approx(20.0, abs=0.2)

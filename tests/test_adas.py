@@ -6,8 +6,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from rail_sumo import config
-from rail_sumo.highway.adas import Adas, HandsOff, slowed_for
-from rail_sumo.records import KMH, SUMO_DECIDES, Gaps, HostState, MetaAction
+from rail_sumo.highway.adas import MAKES_WAY_M, Adas, HandsOff, slowed_for
+from rail_sumo.records import KMH, SECONDS_PER_STEP, SUMO_DECIDES, Gaps, HostState, MetaAction
 
 KEEP, ACCELERATE, DECELERATE, LEFT, RIGHT = MetaAction
 LANE_M = 3.2
@@ -583,13 +583,55 @@ def go_on(adas, host, gaps=free, action=KEEP):
 
 @pytest.mark.parametrize("action", [KEEP, ACCELERATE, DECELERATE, RIGHT])
 @pytest.mark.parametrize("lanes", [(0,), (0, 1)])
-def test_300_m_before_the_end_of_a_lane_the_host_leaves_it_whatever_is_decided(adas, action, lanes):
-    before = at(lane=0, to_edge_end_m=301.0, leads_on_m=ending(*lanes))
+def test_300_m_for_each_lane_to_cross_before_its_lanes_end_the_host_leaves_it_whatever_is_decided(adas, action, lanes):
+    leaves_m = 300.0 * len(lanes)
+    before = at(lane=0, to_edge_end_m=leaves_m + 1.0, leads_on_m=ending(*lanes))
     go_on(adas, before, action=action)
     assert not adas.changing_lane
-    go_on(adas, before._replace(to_edge_end_m=299.0), action=action)
+    go_on(adas, before._replace(to_edge_end_m=leaves_m - 1.0), action=action)
     assert adas.side == 1
     assert adas.lateral_m == pytest.approx(STRIDE_M)
+
+
+@pytest.mark.parametrize(("to_edge_end_m", "why"), [(500.0, "lane ends"), (700.0, "")])
+def test_a_lane_from_which_two_more_have_to_be_crossed_is_not_open_600_m_before_its_end(adas, to_edge_end_m, why):
+    host = at(lane=2, to_edge_end_m=to_edge_end_m, leads_on_m=ending(0, 1, 2, 3))
+    adas.decide(RIGHT, host._replace(lane=3), free)
+    assert adas.why == why
+
+
+def beside(ahead_m, ahead_mps, behind_m=math.inf):
+    """Free road, and somebody in the lane to the left."""
+    return lambda side: Gaps(ahead_m, ahead_mps, behind_m, 0.0) if side == 1 else free(side)
+
+
+def test_who_must_leave_its_lane_falls_in_comfortably_behind_the_vehicle_beside(adas):
+    host = at(lane=0, speed_mps=16.0, to_edge_end_m=150.0, leads_on_m=ending(0))
+    command = go_on(adas, host, beside(3.0, 16.0))
+    assert adas.falls_in
+    assert command.speed_mps == pytest.approx(16.0 - config.Adas().comfort_braking_mps2 * SECONDS_PER_STEP)
+    assert command.asks == 1
+
+
+def test_nobody_falls_in_where_the_lane_leads_on_or_the_change_is_over_the_border(adas):
+    host = at(lane=0, speed_mps=16.0, to_edge_end_m=150.0)
+    assert go_on(adas, host, beside(3.0, 16.0)).speed_mps >= 16.0
+    assert not adas.falls_in
+    ends = host._replace(leads_on_m=ending(0))
+    crossed = False
+    for _ in range(20):
+        command = adas.command(ends._replace(lane=int(crossed)), free if not crossed else beside(3.0, 16.0), steps=1)
+        crossed |= bool(command.cross)
+    assert crossed
+    assert not adas.falls_in
+
+
+def test_far_from_its_lanes_end_the_host_does_not_wait_beside_a_queue(adas):
+    """It would hold up those behind it; sqrt(2 * 0.2 * 280) is 10.6 m/s."""
+    far = at(lane=0, speed_mps=10.0, to_edge_end_m=280.0 + MAKES_WAY_M, leads_on_m=ending(0))
+    near = far._replace(to_edge_end_m=60.0)
+    assert go_on(adas, far, beside(2.0, 0.0)).speed_mps > 10.0
+    assert go_on(adas, near, beside(2.0, 0.0)).speed_mps < 10.0
 
 
 def test_a_lane_change_of_its_own_accord_is_begun_once(adas):

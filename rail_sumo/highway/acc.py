@@ -17,6 +17,10 @@ RESPONSE_S = 0.5
 """The host aims at the speed that its gap will allow after this time. It smooths the leader's unsteadiness; behind a
 leader that swings the host swings less as long as this is no longer than its time gap."""
 
+SPARE_M, SPARE_S = 1.0, 0.1
+"""How much farther, and how much longer in time, the host falls back behind a vehicle in a lane beside than behind one
+in its own: it would come to a gap that is just long enough too slowly, and that would open and close again."""
+
 # ISO 15622: adaptive cruise control brakes no harder than this at these speeds, and in proportion between them.
 SLOW_MPS, FAST_MPS = 5.0, 20.0
 HARDEST_WHEN_SLOW_MPS2, HARDEST_WHEN_FAST_MPS2 = 5.0, 3.5
@@ -64,6 +68,36 @@ def following_mps(speed_mps: float, leader: Leader, adas: Adas) -> float:
         adas.emergency_braking_mps2,
         SECONDS_PER_STEP,
     )
+
+
+def falling_in_mps(speed_mps: float, other: Leader, adas: Adas) -> float:
+    """Return the speed at the end of the next step that opens a gap behind a vehicle in a lane beside.
+
+    As behind a leader, but with no more than comfortable braking.
+    """
+    farther = other._replace(gap_m=other.gap_m - SPARE_M - SPARE_S * speed_mps)
+    return max(following_mps(speed_mps, farther, adas), speed_mps - adas.comfort_braking_mps2 * SECONDS_PER_STEP)
+
+
+def letting_in_mps(speed_mps: float, other: Leader, stands_in_m: float, adas: Adas) -> float:
+    """Return the speed at the end of the next step with which the host lets in a vehicle that must leave a lane beside.
+
+    It falls in behind it. Where that would leave no gap even once both stand, it goes ahead: inf.
+
+    Args:
+        speed_mps: of the host.
+        other: the vehicle that asks.
+        stands_in_m: how far ahead of itself that one has to stand.
+        adas: limits of the host's car-following.
+    """
+    gap_m = other.gap_m + stands_in_m - braking_distance_m(speed_mps, adas.comfort_braking_mps2)
+    return falling_in_mps(speed_mps, other, adas) if gap_m >= adas.standstill_gap_m + SPARE_M else math.inf
+
+
+def needed_mps2(speed_mps: float, leader: Leader, adas: Adas) -> float:
+    """Return the even braking that keeps the host clear of its leader; inf where nothing does."""
+    room_m = leader.gap_m - adas.standstill_gap_m
+    return _needed_mps2(speed_mps, room_m, leader.speed_mps, max(-leader.acceleration_mps2, 0.0), adas.time_gap_s)
 
 
 @compiled("float64(float64)")

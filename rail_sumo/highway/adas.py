@@ -10,6 +10,7 @@ from typing import Literal
 
 from rail_sumo import config
 from rail_sumo.film import Why
+from rail_sumo.highway import acc
 from rail_sumo.highway.hard_braking import HARD_MPS2
 from rail_sumo.records import KMH, SECONDS_PER_STEP, SUMO_DECIDES, Command, Gaps, HostState, MetaAction
 
@@ -22,7 +23,10 @@ GATE_BRAKING_MPS2 = HARD_MPS2
 """The hardest braking that a lane change may cost the host behind its new leader, or its new follower."""
 
 LEAVE_LANE_M = 300.0
-"""How far before its end the host leaves a lane that does not lead on along its course."""
+"""How far before its end the host leaves a lane that does not lead on along its course, for each lane to cross."""
+EASY_MPS2 = 0.2
+"""How gently braking to the end of such a lane would be, at the lowest speed to which the host slows for a gap beside:
+far from the end it may find another, and would hold up those behind it for nothing."""
 LANE_END_SHORT_M = 2.5
 """How far before the end of such a lane the host stands. SUMO stands closer to it, and brakes for that harder."""
 MAKES_WAY_M = 20.0
@@ -65,6 +69,8 @@ class Adas:
         self.refused_decisions = 0
         self.why: Why = ""
         """Why the last decision was not carried out."""
+        self.falls_in = False
+        """Whether the last command lowers the speed for a gap in the lane that the host must move into."""
 
     def set_mps(self, limit_mps: float) -> float:
         """Return the set speed, as it is held where the limit is this."""
@@ -131,8 +137,8 @@ class Adas:
     def command(self, host: HostState, gaps: Callable[[int], Gaps], *, steps: int) -> Command:
         """Return what to do next, for at most `steps` steps: as many as need no fresh look.
 
-        Near the end of a lane that does not lead on, the layer leaves it of its own accord as soon as it can, and until
-        it has crossed over asks to be let in.
+        Near the end of a lane that does not lead on, the layer leaves it of its own accord as soon as it can. Until it
+        has crossed over it falls in behind the vehicle ahead in the lane beside, and asks to be let in.
         """
         if host.sumos_lane_changes > self._sumos_lane_changes:
             self.lane_changes = self.lane_changes_by_now(host.sumos_lane_changes)
@@ -147,8 +153,24 @@ class Adas:
         if stays and speed == set_speed == _within_limits(speed, host, self._config, steps=steps):
             return Command(speed, steps=steps)
         limited = _within_limits(speed, host, self._config, steps=1)
+        falling_in = math.inf
+        if way_on is not None and (self._side is None or self.aim == way_on):
+            falling_in = self._falling_in_mps(host, gaps(way_on))
+        self.falls_in = falling_in < limited
+        limited = min(limited, falling_in)
         command = Command(limited) if self._side is None else self._sideways(self._side, limited, host, gaps)
         return command if way_on is None or command.cross else command._replace(asks=way_on)
+
+    def _falling_in_mps(self, host: HostState, beside: Gaps) -> float:
+        """Return the speed that opens a gap behind the vehicle ahead in a lane beside; inf if none is in sight.
+
+        The nearer the end of its own lane, the slower the host may become for that.
+        """
+        if math.isinf(beside.ahead_m):
+            return math.inf
+        ahead = acc.Leader(beside.ahead_m, beside.ahead_speed_mps)
+        slowest = math.sqrt(2 * EASY_MPS2 * max(_stands_in_m(host), 0.0))
+        return max(acc.falling_in_mps(host.speed_mps, ahead, self._config), slowest)
 
     def lane_changes_by_now(self, sumos: int) -> int:
         """Return how many were completed, with all that SUMO has changed by now while the host asked to be let in."""
@@ -188,7 +210,7 @@ class Adas:
             return "line" if host.rightmost_lane <= host.lane + side <= host.leftmost_lane else "no lane"
         if not self._has_room(host, side):
             return "room"
-        if host.ends_in_m(host.lane + side) < LEAVE_LANE_M and side != _way_on(host):
+        if not _leads_on(host, host.lane + side) and side != _way_on(host):
             return "lane ends"
         return "" if self._safe(host.speed_mps, gaps(side)) else "gap"
 
@@ -275,13 +297,19 @@ def _within_limits(speed_mps: float, host: HostState, config: config.Adas, *, st
 
 
 def _lane_end(host: HostState) -> tuple[tuple[float, float], ...]:
+    stands_in_m = _stands_in_m(host)
+    return () if math.isinf(stands_in_m) else ((stands_in_m, 0.0),)
+
+
+def _stands_in_m(host: HostState) -> float:
+    """Return how far ahead the host would have to stand before the end of its lane; inf if that leads on."""
     lane_ends_in_m = host.ends_in_m(host.lane)
     if math.isinf(lane_ends_in_m):
-        return ()
+        return math.inf
     lanes = range(host.rightmost_lane, host.leftmost_lane + 1)
     farther = [lane for lane in lanes if host.ends_in_m(lane) > lane_ends_in_m]
     goes_left = min(farther, key=lambda lane: abs(lane - host.lane), default=host.lane) > host.lane
-    return ((lane_ends_in_m - (MAKES_WAY_M if goes_left else LANE_END_SHORT_M), 0.0),)
+    return lane_ends_in_m - (MAKES_WAY_M if goes_left else LANE_END_SHORT_M)
 
 
 def slowed_for(host: HostState, config: config.Adas, speed_mps: float) -> Literal["limit", "stop", "lane end"]:
@@ -312,21 +340,30 @@ def _across(host: HostState, side: Side) -> float:
 
 
 def lanes_leading_on(ends_in_m: Mapping[int, float]) -> list[int]:
-    """Return the lanes that nobody need leave by now; where all end soon, those that lead on farthest."""
-    far_enough_m = min(LEAVE_LANE_M, max(ends_in_m.values()))
-    return [lane for lane, metres in ends_in_m.items() if metres >= far_enough_m]
+    """Return the lanes that nobody need leave by now; where all end soon, those that lead on farthest.
+
+    A lane need be left the earlier, the more lanes there are to cross to one of those.
+    """
+    farthest_m = max(ends_in_m.values())
+    best = [lane for lane, metres in ends_in_m.items() if metres == farthest_m]
+    to_cross = {lane: min(abs(lane - other) for other in best) for lane in ends_in_m}
+    return [lane for lane, metres in ends_in_m.items() if metres >= min(to_cross[lane] * LEAVE_LANE_M, farthest_m)]
+
+
+def _goals(host: HostState) -> list[int]:
+    """Return the lanes of the host's edge that it need not leave by now."""
+    return lanes_leading_on({lane: host.ends_in_m(lane) for lane in range(host.rightmost_lane, host.leftmost_lane + 1)})
+
+
+def _leads_on(host: HostState, lane: int) -> bool:
+    return math.isinf(host.ends_in_m(lane)) or lane in _goals(host)
 
 
 def _way_on(host: HostState) -> Side | None:
     """Return the side of the nearest lane that leads on, if the host must leave its own for it by now."""
-    if math.isinf(host.ends_in_m(host.lane)):
+    if _leads_on(host, host.lane):
         return None
-    goals = lanes_leading_on(
-        {lane: host.ends_in_m(lane) for lane in range(host.rightmost_lane, host.leftmost_lane + 1)}
-    )
-    if host.lane in goals:
-        return None
-    return LEFT if min(goals, key=lambda lane: abs(lane - host.lane)) > host.lane else RIGHT
+    return LEFT if min(_goals(host), key=lambda lane: abs(lane - host.lane)) > host.lane else RIGHT
 
 
 def _gap_needed(speed_mps: float, leader_mps: float, time_gap_s: float, braking_mps2: float) -> float:
@@ -353,6 +390,7 @@ class HandsOff:
     side = None
     why: Why = ""
     is_reversing = False
+    falls_in = False
     aborted_lane_changes = 0
     refused_decisions = 0
 

@@ -128,6 +128,7 @@ class Agent:
         self._travelled_m = self.host.travelled_m
         self._n_looked_back = len(self.host.speeds_mps)
         self.end = self._why_over()
+        self.host.heed()
         self.observation = self._layout.observe(
             self.lidar.scan(scene),
             speed_mps=scene.speed_mps[0],

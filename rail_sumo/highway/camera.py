@@ -148,6 +148,8 @@ class Camera:
             return waits if math.isnan(gap_m) else "vehicle ahead"
         meant_mps = max(set_mps, before_mps - adas.comfort_braking_mps2 * SECONDS_PER_STEP)
         if commanded_mps < meant_mps - SLACK_MPS:
+            if agent.adas.falls_in:
+                return "gap beside"
             why = slowed_for(state, adas, meant_mps)
             return waits if why == "stop" else why
         return steadily

@@ -106,8 +106,13 @@ def replaceable(
             yield car, stretch
 
 
-def stretch_of(car: Inserted, config: Config) -> Stretch:
+def stretch_of(car: Inserted, config: Config, *, to_its_end: bool = False) -> Stretch:
     """Return the stretch along a vehicle's route, as far as it comes over no edge again.
+
+    Args:
+        car: the vehicle.
+        config: the world.
+        to_its_end: whether a route that comes over none again is driven until the vehicle arrives.
 
     Raises:
         CourseError: it could not be driven, or does not lead along `network.course`.
@@ -120,7 +125,7 @@ def stretch_of(car: Inserted, config: Config) -> Stretch:
             f"vehicle '{car.name}' does not drive over the edges of network.course in their order; name others"
         )
     course = road.load(config.network.file, edges, vclass=car.vclass, limit_factor=config.network.limit_factor)
-    return Stretch.along(course, config, car.front_m)
+    return Stretch.along(course, config, car.front_m, to_its_end=to_its_end and len(edges) == len(car.edges))
 
 
 def nobody(config: Config, demand: Demand, refused: Sequence[str], now_s: float) -> str:

@@ -11,12 +11,13 @@ from typing import Literal
 from rail_sumo import assets
 from rail_sumo.config import Config
 from rail_sumo.errors import CourseError, InputError
-from rail_sumo.highway import sumo_process
+from rail_sumo.highway import entry, sumo_process
 from rail_sumo.highway.inserted import Inserted
 from rail_sumo.highway.network import demand, road
 from rail_sumo.highway.network.demand import Demand
 from rail_sumo.highway.rides import Decide, Ride, Rides
 from rail_sumo.highway.simulation import Simulation, options_of
+from rail_sumo.highway.stretch import Stretch
 from rail_sumo.records import SECONDS_PER_STEP, Lane
 
 Instead = Literal["nothing", "acc"]
@@ -65,9 +66,9 @@ class Fleet:
     """A demand of which a share of the cars is driven, from its beginning on.
 
     Vehicles keep their departure, route, class and size. What a driven one does is what a single host would do: it
-    decides every `episode.decision_period_s` from its own entry, and once more whenever a lane change ends. At the end
-    of what it can drive of its route, and after a contact, SUMO's own driver drives on as before. Where the route comes
-    to an edge again, that is for a step alone.
+    decides every `episode.decision_period_s` from its own entry, and once more whenever a lane change ends, until it
+    arrives. After a contact SUMO's own driver drives on as before; where the route comes to an edge again, for a step
+    alone.
 
     Args:
         world: network, demand, and how vehicles sense and drive.
@@ -163,7 +164,7 @@ class Fleet:
             self.driven.add(car.name)
             return
         try:
-            everybody.enter(car, decide=self.driver(car.name))
+            everybody.enter(car, self._stretch_of(car), self.driver(car.name))
         except CourseError as error:  # too short, or not on lanes that a host may use
             self.undriven[car.name] = str(error)
             return
@@ -176,7 +177,10 @@ class Fleet:
         if now is not None and len(now.edges) > 1:
             here = replace(car, edges=now.edges, lane=now.lane, front_m=now.front_m, speed_mps=now.speed_mps)
             with suppress(CourseError):  # then SUMO drives it on
-                everybody.enter(here, decide=gone.decides)
+                everybody.enter(here, self._stretch_of(here), gone.decides)
+
+    def _stretch_of(self, car: Inserted) -> Stretch:
+        return entry.stretch_of(car, self._world, to_its_end=True)
 
     def _count(self, ride: Ride) -> None:
         self.contacts += ride.contacts

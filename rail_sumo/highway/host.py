@@ -41,9 +41,8 @@ GENTLE_MPS2 = 3.0
 """How hard SUMO may brake the host for who comes first, where it is slow and near the line."""
 EXPECTED_BRAKING_MPS2 = 4.5
 """The braking that other vehicles expect of the host."""
-ENTRY_M = 100.0
-"""From where it enters so far the host brakes no harder than others expect: SUMO lets a vehicle in behind one that may
-brake harder only at a longer gap, at 110 km/h by some 50 m, and fewer would enter where many are driven."""
+LCA_LEFT, LCA_RIGHT, LCA_STRATEGIC = 2, 4, 8
+"""SUMO's bits of what a vehicle's lane changer means to do, and that it must."""
 EDGES_PER_STEP = 10
 """Onto no more edges than these, junctions' insides included, does a vehicle come within a step."""
 SLACK_M = 100.0
@@ -89,13 +88,14 @@ class Host:
         """What it meets at those ahead."""
         self._before_m = 0.0
         self._lateral_m = 0.0
-        self._asks = self._is_gentle = self._is_entering = False
+        self._asks = self._is_gentle = self._is_of_a_demand = self._braces = False
         self._assertive = ""  # as it was before it asked
         self.aims_at = ""
         """The lane that it is about to move into; empty if none."""
         self._sumo_drives = False
         self._speed_factor: float | None = None  # that SUMO's own driver was last told; None where SUMO keeps its own
         self._set_mps = self._told_mps = 0.0  # the set speed, and the speed that SUMO was told
+        self._lets_in: list[int] = []  # on which sides somebody must come into its lane
         self._leader: Leader | None = None
         self._leader_name = ""
         self._leader_speeds_mps: deque[float] = deque(maxlen=round(0.5 / SECONDS_PER_STEP) + 1)
@@ -147,7 +147,7 @@ class Host:
         for what, value in own.items():
             self._set(what, value)
         self._before_m = libsumo.vehicle.getDistance(self.name)  # where it is not driven for the first time
-        self._is_entering = self._before_m < ENTRY_M
+        self._is_of_a_demand = True
         self._set("Decel", self._hardest_mps2)
         self.ceiling_mps = max(min(self.fastest_mps, fastest_mps), speed_mps)  # below its speed SUMO would brake hard
         self._set("MaxSpeed", self.ceiling_mps)
@@ -336,9 +336,6 @@ class Host:
             self.junctions.heed_signals(self.speeds_mps[-1])
             self._be_gentle(self.junctions.is_slow_at_line(self.speeds_mps[-1]))
         self._set_mps = command.speed_mps
-        if self._is_entering and self.travelled_m >= ENTRY_M:
-            self._is_entering = False
-            self._set("Decel", self._hardest_mps2)
         if command.asks or self._asks:
             self._ask(command.asks)
         if command.cross:
@@ -397,21 +394,63 @@ class Host:
         hardest = self._adas.emergency_braking_mps2
         if self._is_gentle:
             return min(GENTLE_MPS2, hardest)
-        return min(EXPECTED_BRAKING_MPS2, hardest) if self._is_entering else hardest
+        return min(EXPECTED_BRAKING_MPS2, hardest) if self._is_of_a_demand and not self._braces else hardest
 
     def drive(self) -> None:
         """Tell SUMO the speed for the next step: the set speed, or what adaptive cruise control makes of it."""
         speed_mps, leader = self._set_mps, self._leader
         if self._speed_factor is not None:
             self._keep_to_limit()
-        if leader is not None and not self._sumo_drives:
-            speed_mps = min(speed_mps, acc.following_mps(self.speeds_mps[-1], leader, self._adas))
+        if not self._sumo_drives:
+            now_mps = self.speeds_mps[-1]
+            for side in self._lets_in:
+                speed_mps = min(speed_mps, self._letting_in_mps(side))
+            if leader is not None:
+                speed_mps = min(speed_mps, acc.following_mps(now_mps, leader, self._adas))
+            if self._is_of_a_demand:
+                self._brace(speed_mps)
         is_driven = self.junctions.matter and not self._sumo_drives
         if is_driven and libsumo.vehicle.getLaneID(self.name).startswith(":"):
             speed_mps = min(speed_mps, self.junctions.clear_mps(self._look_around().boxes, self.speeds_mps[-1]))
         if speed_mps != self._told_mps:
             libsumo.vehicle.setSpeed(self.name, speed_mps)
             self._told_mps = speed_mps
+
+    def heed(self) -> None:
+        """Notice on which sides somebody ahead must come into its lane; until it looks again, it lets them in."""
+        self._lets_in = [side for side in (1, -1) if self._who_must_come(side)]
+
+    def _who_must_come(self, side: int) -> tuple[str, float] | None:
+        """Return who is next ahead in the lane on a side, and the gap to it, if it must come into the host's lane."""
+        found = self._neighbours.ahead(side)
+        if found is None:
+            return None
+        means = libsumo.vehicle.getLaneChangeState(found[0], -side)[0]
+        is_driven = libsumo.vehicle.getTypeID(found[0]).startswith(HOST_TYPE)  # such a one means nothing else
+        must = (LCA_RIGHT if side > 0 else LCA_LEFT) | (0 if is_driven else LCA_STRATEGIC)
+        return found if means & must == must else None
+
+    def _letting_in_mps(self, side: int) -> float:
+        found = self._who_must_come(side)
+        if found is None:
+            return math.inf
+        name, gap_m = found
+        other = Leader(gap_m, libsumo.vehicle.getSpeed(name))
+        return acc.letting_in_mps(self.speeds_mps[-1], other, to_lane_end_m(name), self._adas)
+
+    def _brace(self, speed_mps: float) -> None:
+        """Have SUMO brake as hard as it may, where it takes more than others expect of the host.
+
+        At other times it may not: SUMO's drivers keep a longer gap behind one that may brake harder, and where many are
+        driven, fewer would enter and change lanes.
+        """
+        now_mps, leader = self.speeds_mps[-1], self._leader
+        needed_mps2 = (now_mps - speed_mps) / SECONDS_PER_STEP
+        if leader is not None:
+            needed_mps2 = max(needed_mps2, acc.needed_mps2(now_mps, leader, self._adas))
+        if (needed_mps2 > EXPECTED_BRAKING_MPS2) != self._braces:
+            self._braces = not self._braces
+            self._set("Decel", self._hardest_mps2)
 
     def _keep_to_limit(self) -> None:
         """Have SUMO's own driver keep to the limit of its lane and the highest set speed.

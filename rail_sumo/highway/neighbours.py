@@ -51,6 +51,12 @@ class Neighbours:
         behind_m, behind_speed = self._nearest(behind, None)
         return Gaps(ahead_m, ahead_speed, behind_m, behind_speed)
 
+    def ahead(self, side: int) -> tuple[str, float] | None:
+        """Return who comes next in the lane to the left (+1) or right (-1), and how far ahead, bumper to bumper."""
+        found = libsumo.vehicle.getNeighbors(self._name, modes(side)[0])
+        name, gap_m = min(found, key=lambda neighbour: neighbour[1], default=("", 0.0))
+        return (name, gap_m + self._standstill_gap_m) if name else None
+
     def _with_claim(
         self, name: str, lane_ahead_m: float | None, ahead: list[tuple[str, float]], behind: list[tuple[str, float]]
     ) -> tuple[list[tuple[str, float]], list[tuple[str, float]]]:

@@ -4,7 +4,6 @@ from collections.abc import Callable
 
 from rail_sumo.config import Config
 from rail_sumo.errors import InputError
-from rail_sumo.highway import entry
 from rail_sumo.highway.agent import Agent
 from rail_sumo.highway.inserted import Inserted
 from rail_sumo.highway.simulation import Simulation
@@ -100,16 +99,15 @@ class Rides:
         self.rides: dict[str, Ride] = {}
         """Those that are on the road, by their vehicles' ids."""
 
-    def enter(self, car: Inserted, stretch: Stretch | None = None, decide: Decide | None = None) -> Ride:
-        """Take over a vehicle that has just been inserted, along its route or a stretch of it.
+    def enter(self, car: Inserted, stretch: Stretch, decide: Decide | None = None) -> Ride:
+        """Take over a vehicle that has just been inserted.
 
         Args:
             car: the vehicle.
-            stretch: what it drives; by default along its route.
+            stretch: what it drives.
             decide: what decides for it in `drive`.
 
         Raises:
-            CourseError: its route cannot be driven.
             InputError: what is to decide cannot be called.
         """
         if decide is not None and not callable(decide):
@@ -117,7 +115,6 @@ class Rides:
                 f"what decides for a vehicle takes an observation and the vehicle, and returns a meta-action; got a "
                 f"{type(decide).__name__}: of a driver give its `decide`"
             )
-        stretch = stretch or entry.stretch_of(car, self._world)
         host = self._simulation.lay_course(
             stretch.road, self._world.adas, sees_m=stretch.sees_m, host=car.name, shares_type=True
         )

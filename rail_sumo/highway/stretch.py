@@ -35,8 +35,15 @@ class Stretch:
     """How far an episode goes at most, and the overrun."""
 
     @classmethod
-    def along(cls, road: Road, config: Config, start_m: float) -> "Stretch":
+    def along(cls, road: Road, config: Config, start_m: float, *, to_its_end: bool = False) -> "Stretch":
         """Return the stretch of a course that begins at a place on it.
+
+        Args:
+            road: the course.
+            config: how a host drives, and for how long.
+            start_m: the place, its front.
+            to_its_end: whether it is driven to its last metre, where the vehicle arrives, and not only as far as a
+                host looks for the last time.
 
         Raises:
             CourseError: the course is too short from there, or has limits with which nobody can drive.
@@ -44,6 +51,8 @@ class Stretch:
         fastest_mps = _fastest_mps(road, config.adas)
         closes_m = config.episode.decision_period_s * fastest_mps
         overrun_m, near_m = MARGIN_M + closes_m, max(NEAR_M, closes_m + VEHICLE_M)
+        if to_its_end:
+            overrun_m = 0.0
         farthest_m = min(config.episode.course_m, config.episode.duration_s * fastest_mps) + overrun_m
         sees_m = max(config.lidar.max_range_m, near_m) + VEHICLE_M
         found = cls(road, start_m, fastest_mps, overrun_m, near_m, sees_m, farthest_m)

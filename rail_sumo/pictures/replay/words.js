@@ -30,6 +30,7 @@ const HOLDINGS = {
   signal: "stops for the signal",
   "right of way": "gives way",
   "lane end": "slows for the end of its lane",
+  "gap beside": "falls in for a gap in the lane beside",
   SUMO: "is driven by SUMO, which chooses its speed and lane",
 };
 
