@@ -335,6 +335,7 @@ def test_fewer_than_five_trainings_are_noted(world, done, tmp_path, seeds, few):
     assert f"Trainings of each learner: {seeds}; held-out episodes of each in either mode, " in markdown
     assert f"training's traffic: {N_EPISODES}. Means" in markdown
     assert ("**Fewer than 5 trainings**" in markdown) == few
+    assert ("of told apart may reach below 0 or above 1" in markdown) == few
 
 
 def test_drivers_that_do_not_train_cannot_have_too_few_trainings(world, done, tmp_path):

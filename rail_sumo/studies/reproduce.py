@@ -302,7 +302,8 @@ def _notes(table: pd.DataFrame, n_episodes: int) -> list[str]:
     papers = " The paper's are means of 16 episodes." if table["paper"].notna().any() else ""
     notes = [_NOTE.format(trainings=trainings, n_episodes=n_episodes) + papers]
     if 0 < fewest < report.FEW:
-        notes += ["", f"**Fewer than {report.FEW} trainings**: the intervals are right but very wide."]
+        wide = "the intervals are right but very wide, and of told apart may reach below 0 or above 1, as no figure can"
+        notes += ["", f"**Fewer than {report.FEW} trainings**: {wide}."]
     return notes
 
 
