@@ -249,7 +249,7 @@ def cut_short(episodes: pd.DataFrame) -> list[str]:
 
 
 def alike(episodes: pd.DataFrame) -> list[str]:
-    """Return a line that says so where all policies, or three, drove every episode at the same speed to within `ALIKE`.
+    """Return a line that says so where all policies, or three, were in each episode as fast as each other, to `ALIKE`.
 
     Args:
         episodes: the `episodes` table.
@@ -262,10 +262,10 @@ def alike(episodes: pd.DataFrame) -> list[str]:
     most = max((group for group in groups if _are_close(speeds[group])), key=len, default=[])
     if len(most) < min(len(policies), FEWEST_ALIKE):
         return []
-    who = "all" if len(most) == len(policies) else ", ".join(most)
+    who = "all of them" if len(most) == len(policies) else ", ".join(most)
     return [
-        f"{who} drive every episode at the same speed, to within {100 * ALIKE:g} %: the road or the host's own vehicle "
-        f"may leave no choice, see rail-sumo network check"
+        f"in each episode {who} are as fast as each other, to within {100 * ALIKE:g} %: one may have learned from "
+        "another, or the road or the host's own vehicle leave no choice, see rail-sumo network check"
     ]
 
 
