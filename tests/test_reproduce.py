@@ -313,6 +313,20 @@ def test_refused_decisions_and_how_well_one_is_told_apart_are_in_the_table(world
     assert last["SUMO's driver"] == ["0.0", "", "16"]
 
 
+@pytest.mark.parametrize(
+    ("interval", "shown"),
+    [
+        ((0.9971, 0.9945, 0.9997), "0.9971 (0.9945 to 0.9997)"),
+        ((0.9971, 0.9945, 1.0003), "0.997 (0.995 to 1.000)"),
+        ((1.0021, 1.00004, 1.0041), "1.00210 (1.00004 to 1.00410)"),
+        ((np.nan, np.nan, np.nan), ""),
+        ((1.0, np.nan, np.nan), "1.000"),
+    ],
+)
+def test_a_ratio_whose_interval_is_without_1_does_not_look_as_if_it_held_1(interval, shown):
+    assert reproduce.ratio_with_interval(*interval) == shown
+
+
 def test_some_rows_alone_are_in_the_tables_order_and_the_expert_is_always_there(world, done, tmp_path):
     assert reproduce.chosen("") == tuple(SYSTEMS)
     assert reproduce.chosen(" rule,bc-2-unmasked, rail-1,,rule") == ("rail-1", "bc-2-unmasked", "rule")
