@@ -306,12 +306,14 @@ def load_expert(config: Config, folder: Path | None = None) -> Expert:
     """Return the expert in `folder`, which `rail-sumo expert train` wrote; without one, the configuration's.
 
     Raises:
-        InputError: it is missing or damaged.
+        InputError: it is missing or damaged, or has weights that are not finite.
     """
     folder = folder or assets.expert_folder(config.train.expert)
     with safe_open(assets.expert(assets.EXPERT_POLICY, folder), framework="numpy") as file:
         n_layers = len(file.keys()) // 2
         layers = [(file.get_tensor(f"{i}.weight"), file.get_tensor(f"{i}.bias")) for i in range(n_layers)]
+    if not all(np.isfinite(values).all() for layer in layers for values in layer):
+        raise InputError(f"the expert in '{folder}' cannot drive: weights of its network are not finite; train another")
     recipe = recorded(assets.expert(assets.EXPERT_RECIPE, folder).read_text(encoding="utf-8"))
     return Expert(layers, recipe.senses)
 

@@ -3,6 +3,7 @@
 import itertools
 import time
 from collections.abc import Iterable, Iterator
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -63,6 +64,7 @@ def learn(
                     f"learner '{config.train.learner}' yields a {type(iteration).__name__}; it has to yield an "
                     "`Iteration` of rail_sumo.learners"
                 )
+            _require_drivable(iteration.learned, checkpoint, config.train.learner)
             row = _progress(iteration, checkpoint.progress, time.perf_counter() - started)
             checkpoint = Checkpoint(iteration.learned, iteration.memory, (*checkpoint.progress, row))
             run.save(checkpoint)
@@ -156,6 +158,16 @@ def _start(config: Config, demonstrations: Demonstrations, seed: int) -> PolicyP
     masked, samples = config.policy.masked, config.policy.mode == SAMPLED
     theta = bc.clone(demonstrations, shape, whitening, cloning, seed, masked=masked)
     return PolicyParameters(theta, shape, whitening, samples, masked)
+
+
+def _require_drivable(learned: PolicyParameters, before: Checkpoint, learner: str) -> None:
+    """Raise InputError if what an iteration made is no policy of the run's shape, or has values that are not finite."""
+    try:
+        replace(learned, shape=before.learned.shape).policy()
+    except ValueError as error:
+        raise InputError(
+            f"what learner '{learner}' yields in iteration {before.iteration + 1} cannot drive: {error}"
+        ) from None
 
 
 def _progress(iteration: Iteration, before: tuple[Row, ...], seconds: float) -> Row:

@@ -122,6 +122,21 @@ def test_a_changed_file_is_refused(trained):
         roster.find_driver(str(trained), SHORT)
 
 
+def test_one_whose_weights_are_not_finite_is_no_driver(tmp_path, monkeypatch):
+    wild = [(np.full((5, N_FEATURES), np.nan), np.zeros(5))]
+    monkeypatch.setattr(ppo, "train", lambda config, seed, traffic_seeds, observer, first: wild)
+    expert.train(SHORT, tmp_path / "wild", seed=5)
+    with pytest.raises(InputError, match=r"^the expert in '.*wild' cannot drive: weights .* not finite; train an"):
+        roster.find_driver(str(tmp_path / "wild"), SHORT)
+
+
+def test_a_training_whose_weights_do_not_stay_finite_is_one_line():
+    brief = ["decisions=256", "decisions_per_update=128", "batch_size=64", "begins_as_rule=0", "learning_rate=1e30"]
+    wild = config_file.load(None, ["episode.duration_s=20", *(f"expert.{one}" for one in brief)])
+    with pytest.raises(InputError, match=r"^training diverged: .* set a smaller expert\.learning_rate$"):
+        ppo.train(wild, 0, itertools.count())
+
+
 def test_an_existing_folder_is_refused_before_any_training(trained, monkeypatch):
     monkeypatch.setattr(ppo, "train", lambda *_: pytest.fail("trained in vain"))
     with pytest.raises(InputError, match="exists"):

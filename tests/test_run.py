@@ -842,6 +842,8 @@ def test_in_python_drivers_go_by_their_names_too(small):
 
 
 OWN_LEARNERS = """
+from dataclasses import replace
+
 from rail_sumo.learners import Iteration, Learner, memory_of
 
 def gives_up(practice, checkpoint, demonstrations):
@@ -850,7 +852,16 @@ def gives_up(practice, checkpoint, demonstrations):
 def says_something_else(practice, checkpoint, demonstrations):
     yield {"learned": checkpoint.learned}
 
-GIVES_UP, SAYS_SOMETHING_ELSE = (Learner(one, iterations=2, samples=False) for one in (gives_up, says_something_else))
+def with_theta(change):
+    def iterate(practice, checkpoint, demonstrations):
+        start = checkpoint.learned
+        yield Iteration(replace(start, theta=change(start.theta)), {}, practice.drive([start], 1), {})
+    return iterate
+
+TOO_SHORT, NOT_FINITE = with_theta(lambda theta: theta[:-1]), with_theta(lambda theta: theta / 0.0)
+GIVES_UP, SAYS_SOMETHING_ELSE, TOO_SHORT, NOT_FINITE = (
+    Learner(one, iterations=2, samples=False) for one in (gives_up, says_something_else, TOO_SHORT, NOT_FINITE)
+)
 """
 
 
@@ -864,6 +875,36 @@ def test_a_learner_that_gives_up_or_says_something_else_is_told(small, driven, t
     other = small.changed(train={"learner": "own_learners:SAYS_SOMETHING_ELSE"})
     with pytest.raises(InputError, match=r"^learner '.*:SAYS_SOMETHING_ELSE' yields a dict; it has to yield an `Iter"):
         training.learn(other, tmp_path / "other", seed=1)
+
+
+@pytest.mark.filterwarnings("ignore:divide by zero")
+@pytest.mark.parametrize(
+    ("name", "why"),
+    [
+        ("TOO_SHORT", r"theta must have shape \(47,\) for Shape\(.*\); got \(46,\)"),
+        ("NOT_FINITE", r"theta must be finite; 47 of 47 values are not"),
+    ],
+)
+def test_what_a_learner_yields_that_cannot_drive_is_refused_at_once(small, driven, tmp_path, monkeypatch, name, why):
+    (tmp_path / "own_learners.py").write_text(OWN_LEARNERS)
+    monkeypatch.syspath_prepend(tmp_path)
+    world = small.changed(train={"learner": f"own_learners:{name}"})
+    with pytest.raises(
+        InputError, match=rf"^what learner 'own_learners:{name}' yields in iteration 1 cannot drive: {why}$"
+    ):
+        training.learn(world, tmp_path / "run", seed=1)
+    assert RunDirectory(tmp_path / "run").checkpoint().iteration == 0
+
+
+def test_a_policy_whose_parameters_are_not_finite_is_not_loaded(trained, small):
+    path = trained / POLICY
+    with safe_open(path, framework="numpy") as file:
+        about = json.loads(file.metadata()["rail_sumo"])
+    about.pop("sha256")  # as in a file of an earlier version
+    tensors = load_file(path)
+    save_file(tensors | {"theta": np.full_like(tensors["theta"], np.nan)}, path, {"rail_sumo": json.dumps(about)})
+    with pytest.raises(InputError, match=r"damaged \(ValueError: theta must be finite; 47 of 47 values are not\)"):
+        roster.find_driver(str(trained), small)
 
 
 def test_an_expert_that_is_not_the_shipped_one_is_told():
