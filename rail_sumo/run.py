@@ -24,7 +24,7 @@ from rail_sumo.highway.env import HighwayEnv
 from rail_sumo.highway.network import demand
 from rail_sumo.highway.observation import feature_names
 from rail_sumo.highway.simulation import floating_car_data
-from rail_sumo.imitation.demonstrations import Demonstrations
+from rail_sumo.imitation.demonstrations import DRIVER_SHA256, Demonstrations
 from rail_sumo.policy import ARGMAX, SAMPLED
 from rail_sumo.records import Trajectory
 from rail_sumo.rollout import (
@@ -250,6 +250,8 @@ def demonstrate(
     drivers.require_same_senses(who, world, f"driver '{driver}'")
     demonstrations = record(who, world, episodes=episodes, seed=seed, workers=workers, observer=observer)
     about = {"driver": driver, "seed": str(seed), "config": dumps(world)}
+    if content := roster.content_of(driver, world):
+        about[DRIVER_SHA256] = content
     demonstrations.save(out, features=feature_names(world.lidar, world.observation), about=about)
     return demonstrations
 

@@ -14,7 +14,7 @@ from rail_sumo.errors import InputError
 from rail_sumo.highway import metrics, varied
 from rail_sumo.highway.network import demand
 from rail_sumo.highway.observation import bounds, feature_names
-from rail_sumo.imitation.demonstrations import Demonstrations, recorded_on
+from rail_sumo.imitation.demonstrations import Demonstrations, recorded_by, recorded_on
 from rail_sumo.learners import Iteration, Practice, learner_of
 from rail_sumo.policy import ARGMAX, SAMPLED, PolicyParameters, Shape, Whitening
 from rail_sumo.rollout import SILENT, Observer, WorkerCount
@@ -94,14 +94,39 @@ def doubts(config: Config, demonstrations: Demonstrations) -> Iterator[str]:
         )
 
 
-def other_expert(config: Config) -> Iterator[str]:
-    """Tell that the table compares with `train.expert`, and the demonstrations may be of another driver."""
-    if learner_of(config).reads_demonstrations and config.train.demonstrations != "expert":
-        and_asks = f", whom {config.train.learner} asks too" if learner_of(config).asks_the_expert else ""
+def other_expert(config: Config, compares: str = "the table at the end compares with") -> Iterator[str]:
+    """Tell whom demonstrations are of, and whom figures compare with, unless the expert is known to be both.
+
+    Args:
+        config: names the demonstrations and the expert.
+        compares: what refers to the expert; the sentence goes on with "the expert that train.expert names".
+    """
+    learner = learner_of(config)
+    if not learner.reads_demonstrations:
+        return
+    file, folder = _demonstrations_file(config), assets.expert_folder(config.train.expert)
+    if file.resolve() == (folder / assets.EXPERT_DEMONSTRATIONS).resolve():
+        return
+    driver, content = recorded_by(file)
+    expert = expert_input(config)["train.expert"]
+    if content == expert:
+        return
+    asked = f", whom {config.train.learner} asks too" if learner.asks_the_expert else ""
+    named = f"the expert that train.expert names, {_told(config.train.expert, expert)}{asked}"
+    if content or driver not in ("", "expert", config.train.expert):
         yield (
-            f"the table at the end compares with the expert that train.expert names{and_asks}; if another made the "
-            f"demonstrations, compare with that one: rail-sumo eval RUN DRIVER --reference DRIVER"
+            f"the demonstrations are of {_told(driver, content)}, and {compares} {named}: compare with the driver of "
+            "the demonstrations by: rail-sumo eval RUN DRIVER --reference DRIVER"
         )
+    else:
+        yield (
+            f"the demonstrations do not tell for certain whose they are, and {compares} {named}; if another made them, "
+            "compare with that one by: rail-sumo eval RUN DRIVER --reference DRIVER"
+        )
+
+
+def _told(driver: str, content: str) -> str:
+    return f"'{driver}'" + (f" (SHA-256 {content[:12]}...)" if content else "")
 
 
 def require_loss(config: Config) -> None:

@@ -1,14 +1,15 @@
 import itertools
 import json
+import shutil
 
 import numpy as np
 import pytest
 
-from rail_sumo import assets, config, config_file, drivers, expert, rollout, roster, run
+from rail_sumo import assets, config, config_file, drivers, expert, rollout, roster, run, training
 from rail_sumo.assets import sha256
 from rail_sumo.errors import InputError
 from rail_sumo.imitation import ppo
-from rail_sumo.imitation.demonstrations import Demonstrations
+from rail_sumo.imitation.demonstrations import Demonstrations, recorded_by
 from rail_sumo.records import MetaAction
 
 N_FEATURES = 48
@@ -55,6 +56,14 @@ def test_the_demonstrations_are_its_own_on_other_traffic_than_the_evaluation(tra
     assert set(demonstrations.actions) == {MetaAction.ACCELERATE}
     again = run.record(drivers.load_expert(world, trained), world, episodes=3, seed=5)
     np.testing.assert_array_equal(demonstrations.observations, again.observations)
+
+
+def test_the_demonstrations_tell_whose_they_are_wherever_they_lie(trained, tmp_path):
+    of_it = shutil.copy(trained / "demonstrations.parquet", tmp_path / "moved.parquet")
+    assert recorded_by(of_it) == ("expert", sha256(trained / "policy.safetensors"))
+    own = SHORT.changed(train={"expert": str(trained), "demonstrations": str(of_it)})
+    assert not list(training.other_expert(own))
+    assert len(list(training.other_expert(own.changed(train={"expert": "shipped"})))) == 1
 
 
 def test_training_recording_and_evaluation_meet_traffic_of_their_own(tmp_path, monkeypatch):

@@ -22,7 +22,7 @@ from rail_sumo.errors import InputError, NotBegun
 from rail_sumo.highway.reward import total_reward
 from rail_sumo.highway.simulation import HOST
 from rail_sumo.imitation import gail
-from rail_sumo.imitation.demonstrations import Demonstrations
+from rail_sumo.imitation.demonstrations import Demonstrations, recorded_by
 from rail_sumo.policy import PolicyParameters
 from rail_sumo.records import DECISION_COLUMNS, METRICS, MetaAction, Trajectory
 from rail_sumo.run_directory import CHECKPOINT, CLONE, CONFIG, JUDGE, POLICY, PROGRESS, PROGRESS_COLUMNS, RunDirectory
@@ -803,15 +803,55 @@ def test_demonstrations_of_another_road_are_told_to_who_learns_from_them(small, 
     assert said.startswith(f"the demonstrations were recorded on {own}, and this trains on ring5: ")
 
 
-def test_who_the_table_compares_with_is_told_where_the_demonstrations_are_another_file(small, driven, tmp_path):
-    told = {}
-    for learner in ("bc", "dagger"):
-        notes = told[learner] = Notes()
-        world = small.changed(train={"learner": learner, "iterations": 0})
-        training.learn(world, tmp_path / learner, seed=1, observer=notes)
-    said = "the table at the end compares with the expert that train.expert names"
-    first = [next(line for line in notes.told if line.startswith(said)) for notes in told.values()]
-    assert [line.split(";")[0] for line in first] == [said, f"{said}, whom dagger asks too"]
+EXPERTS_SHA256 = assets.sha256(assets.expert(assets.EXPERT_POLICY))
+
+
+@pytest.mark.parametrize(
+    ("about", "said"),
+    [
+        ({}, "do not tell for certain whose they are"),
+        ({"driver": "expert"}, "do not tell for certain whose they are"),  # any expert's file said so once
+        ({"driver": "expert", "driver_sha256": EXPERTS_SHA256}, None),
+        ({"driver": "runs/copy", "driver_sha256": EXPERTS_SHA256}, None),
+        ({"driver": "expert", "driver_sha256": "0123456789abcdef"}, "are of 'expert' (SHA-256 0123456789ab...)"),
+        ({"driver": "rule"}, "are of 'rule'"),
+    ],
+)
+def test_whom_the_table_compares_with_is_told_unless_it_made_the_demonstrations(small, tmp_path, about, said):
+    file, features = tmp_path / "demonstrations.parquet", run.feature_names(small.lidar, small.observation)
+    Demonstrations.load(file, features=features).save(file, features=features, about=about)
+    told = list(training.other_expert(small))
+    named = f"the expert that train.expert names, 'shipped' (SHA-256 {EXPERTS_SHA256[:12]}...)"
+    begins = f"the demonstrations {said}, and the table at the end compares with {named}"
+    assert [line[: len(begins)] for line in told] == ([begins] if said else [])
+    asked = list(training.other_expert(small.changed(train={"learner": "dagger"})))
+    assert [f"{named}, whom dagger asks too" in line for line in asked] == [True] * len(told)
+    of_a_study = list(training.other_expert(small, "ratios and 'told apart' are to"))
+    assert [f", and ratios and 'told apart' are to {named}" in line for line in of_a_study] == [True] * len(told)
+
+
+def test_a_training_and_its_manifest_tell_whose_the_demonstrations_are(small, driven, tmp_path):
+    notes = Notes()
+    run.train(small.changed(train={"iterations": 0}), tmp_path / "run", seed=1, observer=notes)
+    (told,) = training.other_expert(small)
+    assert notes.told.count(told) == 1
+    assert told in json.loads((tmp_path / "run" / "manifest.json").read_text())["notes"]
+
+
+def test_the_experts_own_file_is_known_by_its_place():
+    shown = assets.expert(assets.EXPERT_DEMONSTRATIONS)
+    for given in ("expert", str(shown)):
+        assert not list(training.other_expert(config.Config().changed(train={"demonstrations": given})))
+
+
+@pytest.mark.parametrize("driver", ["expert", "rail:sampled", "rule"])
+def test_a_recording_tells_whose_it_is_and_by_which_weights(driver, tmp_path):
+    world = config_file.load(None, ["episode.duration_s=5"])
+    run.demonstrate(driver, world, tmp_path / "its.parquet", episodes=1, seed=0)
+    name, content = recorded_by(tmp_path / "its.parquet")
+    assert (name, content) == (driver, roster.content_of(driver, world))
+    assert (content == EXPERTS_SHA256) == (driver == "expert")
+    assert bool(content) == (driver != "rule")
 
 
 def test_a_run_that_is_not_done_says_so(small, driven, tmp_path):
