@@ -173,11 +173,22 @@ class RunDirectory:
         except KeyError as error:
             raise _damaged(path, error) from None
 
+    def differs_by_seed_alone(self, other: "RunDirectory") -> bool:
+        """Return whether another run is of the same configuration and files, and of another seed.
+
+        How many iterations and evaluation episodes it is to have does not matter.
+        """
+        return (self._fixed, self.inputs) == (other._fixed, other.inputs) and self.seed != other.seed
+
+    @property
+    def _fixed(self) -> dict[str, Any]:
+        """The keys that its iterations follow from."""
+        return {key: value for key, value in self.config.flat().items() if key not in MAY_CHANGE}
+
     @property
     def _made_of(self) -> str:
         """What its iterations follow from, as SHA-256."""
-        fixed = {key: value for key, value in self.config.flat().items() if key not in MAY_CHANGE}
-        followed = json.dumps([fixed, self.seed, self.inputs], sort_keys=True)
+        followed = json.dumps([self._fixed, self.seed, self.inputs], sort_keys=True)
         return hashlib.sha256(followed.encode()).hexdigest()
 
     def save(self, checkpoint: Checkpoint) -> None:
@@ -203,8 +214,7 @@ class RunDirectory:
             InputError: the run was started with another seed, configuration or content of the files it reads, or has
                 done more iterations than it is to have.
         """
-        started = {key: value for key, value in self.config.flat().items() if key not in MAY_CHANGE}
-        mismatch = first_difference(started | {"seed": self.seed}, config.flat() | {"seed": seed})
+        mismatch = first_difference(self._fixed | {"seed": self.seed}, config.flat() | {"seed": seed})
         if mismatch:
             raise InputError(
                 f"run directory '{self.path}' was started with {mismatch}; resume it as it was started, or start "
