@@ -19,7 +19,7 @@ import safetensors.numpy
 from numpy.typing import NDArray
 from safetensors import SafetensorError, safe_open
 
-from rail_sumo.assets import own_version
+from rail_sumo.assets import is_expert, own_version
 from rail_sumo.config import Config
 from rail_sumo.config_file import dumps, first_difference, load
 from rail_sumo.errors import InputError
@@ -86,11 +86,19 @@ class RunDirectory:
 
     def __init__(self, path: AnyPath) -> None:
         path = Path(path)
+        if path.is_file():
+            meant = f", '{path.parent}'" if (path.parent / CONFIG).is_file() else ""
+            raise InputError(f"'{path}' is a file; name the run's folder{meant}")
         if not path.is_dir():
             raise InputError(f"run directory '{path}' not found")
         if not (path / CONFIG).is_file():
             is_evaluation = " (it is an evaluation: name those who drove there)" if (path / WORLD).is_file() else ""
             raise InputError(f"'{path}' is not a run directory: it has no {CONFIG}{is_evaluation}")
+        if not (path / CLONE).is_file() and is_expert(path):
+            raise InputError(
+                f"'{path}' is an expert's folder, not a run directory: it drives under that name, and train.expert "
+                "takes it; what goes on with a training or draws one wants a run of rail-sumo train"
+            )
         self.path = path
         self.config = load(path / CONFIG)
         clone, _, self._about = _read_driver(path / CLONE)
