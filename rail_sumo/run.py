@@ -238,12 +238,15 @@ def demonstrate(
     """Record a driver, by name, expert's folder or run directory, into a file; see `record` and `evaluate`.
 
     Raises:
-        InputError: the file `out` exists and is not to be overwritten, or cannot be written; bad input of any kind.
+        InputError: the file `out` is not named FILE.parquet, exists and is not to be overwritten, or cannot be written;
+            bad input of any kind.
     """
     if drivers.hands_off(driver):
         raise InputError(
             f"driver '{driver}' takes no decisions that could be recorded; take rule, expert or a run directory"
         )
+    if Path(out).suffix != ".parquet":
+        raise InputError(f"demonstrations are a Parquet file, FILE.parquet; got '{out}'")
     check_file(out, overwrite=overwrite)
     require_drivable(world, episodes)
     who = roster.find_driver(driver, world)
