@@ -237,9 +237,11 @@ def demonstrate(
 ) -> Demonstrations:
     """Record a driver, by name, expert's folder or run directory, into a file; see `record` and `evaluate`.
 
+    Where the world's senses are the default ones, the driver's own are recorded, and the observer is told.
+
     Raises:
         InputError: the file `out` is not named FILE.parquet, exists and is not to be overwritten, or cannot be written;
-            bad input of any kind.
+            the world has senses of its own, and the driver others; bad input of any kind.
     """
     if drivers.hands_off(driver):
         raise InputError(
@@ -250,6 +252,10 @@ def demonstrate(
     check_file(out, overwrite=overwrite)
     require_drivable(world, episodes)
     who = roster.find_driver(driver, world)
+    if not isinstance(who, str) and world.senses == Config().senses:
+        given, world = world, world.seen_with(who.senses)
+        if keys := drivers.settings(world.sensing, given.sensing):
+            observer.note(f"the demonstrations have the senses of '{driver}'; to learn from them, set {keys}")
     drivers.require_same_senses(who, world, f"driver '{driver}'")
     demonstrations = record(who, world, episodes=episodes, seed=seed, workers=workers, observer=observer)
     about = {"driver": driver, "seed": str(seed), "config": dumps(world)}

@@ -110,6 +110,7 @@ BAD = {
     "network check closed.net.xml": "network 'closed.net.xml' has no edge that is open to cars; rail",
     "eval acc": "'acc' drives a share of a demand; compare it in: rail-sumo sweep share",
     "eval some.toml": "'some.toml' is a configuration, not a driver; name it by --config",
+    "expert record --driver road-expert --out new.parquet --set observation.host_speed=false": "policy 'road-expert' w",
     "expert record --out new.csv": "demonstrations are a Parquet file, FILE.parquet; got 'new.csv'",
     "expert record --out there.parquet": "output file 'there.parquet' exists; choose another, or replace it with --ov",
     "expert record --driver rul --out new.parquet": "policy 'rul' is neither a run directory nor a driver; did you",

@@ -319,7 +319,7 @@ def test_a_run_is_evaluated_in_its_own_world_unless_told_otherwise(trained, smal
 
 def test_a_policy_drives_anywhere_with_its_own_senses_unless_others_are_asked_for(trained):
     assert roster.find_driver(str(trained), config.Config()).senses.lidar.n_rays == N_FEATURES // 2
-    with pytest.raises(InputError, match=r"was trained with lidar\.n_rays = 4, not 24; leave \[lidar\] and"):
+    with pytest.raises(InputError, match=r"was trained with lidar\.n_rays = 4, not 24; set lidar\.n_rays=4, or tr"):
         roster.world(["keep", str(trained)], ["lidar.n_rays=24"])
 
 
@@ -852,6 +852,31 @@ def test_a_recording_tells_whose_it_is_and_by_which_weights(driver, tmp_path):
     assert (name, content) == (driver, roster.content_of(driver, world))
     assert (content == EXPERTS_SHA256) == (driver == "expert")
     assert bool(content) == (driver != "rule")
+
+
+def test_a_driver_is_recorded_with_its_own_senses_where_no_others_are_configured(tmp_path):
+    world, notes = config_file.load(None, ["episode.duration_s=5"]), Notes()
+    run.demonstrate("road-expert", world, tmp_path / "road.parquet", episodes=1, seed=0, observer=notes)
+    keys = ["observation.host_speed=true", "observation.speed_limit=true"]
+    said = "the demonstrations have the senses of 'road-expert'; to learn from them, set"
+    assert notes.told == [f"{said} {' '.join(keys)}"]
+    as_told = config_file.load(
+        None, [*keys, f"train.demonstrations={tmp_path / 'road.parquet'}", "train.trajectories=1"]
+    )
+    assert training.demonstrations_of(as_told).observations.shape == (5, 50)
+    recorded = run.record(
+        roster.find_driver("road-expert", as_told), as_told.changed(episode={"duration_s": 5.0}), episodes=1, seed=0
+    )
+    np.testing.assert_array_equal(training.demonstrations_of(as_told).observations, recorded.observations)
+
+
+def test_a_driver_is_not_recorded_with_other_senses_than_its_own(tmp_path):
+    other = config_file.load(None, ["lidar.n_rays=12", "observation.host_speed=true"])
+    keys = r"lidar\.n_rays=24 observation\.speed_limit=true"
+    with pytest.raises(
+        InputError, match=rf"^driver 'road-expert' was trained with lidar\.n_rays = 24, not 12; set {keys}, or train"
+    ):
+        run.demonstrate("road-expert", other, tmp_path / "other.parquet", episodes=1, seed=0)
 
 
 def test_a_run_that_is_not_done_says_so(small, driven, tmp_path):
