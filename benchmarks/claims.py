@@ -18,7 +18,7 @@ from rail_sumo import config, training
 from rail_sumo.policy import ARGMAX, SAMPLED
 from rail_sumo.records import MetaAction
 from rail_sumo.studies.experiment import SYSTEMS
-from rail_sumo.studies.reproduce import compare, read_cells, scores, with_interval
+from rail_sumo.studies.reproduce import compare, ratio_with_interval, read_cells, scores, with_interval
 from rail_sumo.tables import report, statistics
 
 PAIRS = (
@@ -48,7 +48,7 @@ def ratios(cells: pd.DataFrame) -> pd.DataFrame:
             continue
         table = compare(pd.concat([driven, driven_by_expert])).set_index(["system", "metric"])
         of_the_expert = {
-            metric: with_interval(*table.loc[(system, metric), ["ratio", "ratio_low", "ratio_high"]])
+            metric: ratio_with_interval(*table.loc[(system, metric), ["ratio", "ratio_low", "ratio_high"]])
             for metric in (*METRICS, "lateral_reward")
         }
         figures = {

@@ -1,10 +1,11 @@
 """Whatever decides for the host: fixed rules, the expert, learned policies."""
 
+import json
 import math
 from abc import ABC, abstractmethod
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
-from typing import Protocol
+from typing import Any, Protocol
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -306,12 +307,14 @@ def load_expert(config: Config, folder: Path | None = None) -> Expert:
     """Return the expert in `folder`, which `rail-sumo expert train` wrote; without one, the configuration's.
 
     Raises:
-        InputError: it is missing or damaged.
+        InputError: it is missing or damaged, or has weights that are not finite.
     """
     folder = folder or assets.expert_folder(config.train.expert)
     with safe_open(assets.expert(assets.EXPERT_POLICY, folder), framework="numpy") as file:
         n_layers = len(file.keys()) // 2
         layers = [(file.get_tensor(f"{i}.weight"), file.get_tensor(f"{i}.bias")) for i in range(n_layers)]
+    if not all(np.isfinite(values).all() for layer in layers for values in layer):
+        raise InputError(f"the expert in '{folder}' cannot drive: weights of its network are not finite; train another")
     recipe = recorded(assets.expert(assets.EXPERT_RECIPE, folder).read_text(encoding="utf-8"))
     return Expert(layers, recipe.senses)
 
@@ -320,9 +323,12 @@ def require_same_senses(driver: Driver | PolicyParameters | str, config: Config,
     """Raise ObservationError if a driver was trained with other senses than the configuration's; a name was not."""
     if isinstance(driver, str):
         return
-    own = config.seen_with(driver.senses).sensing
-    mismatch = first_difference(own, config.sensing)
+    own, given = config.seen_with(driver.senses).sensing, config.sensing
+    mismatch = first_difference(own, given)
     if mismatch:
-        raise ObservationError(
-            f"{name} was trained with {mismatch}; leave [lidar] and [observation] as they were, or train another"
-        )
+        raise ObservationError(f"{name} was trained with {mismatch}; set {settings(own, given)}, or train another")
+
+
+def settings(own: Mapping[str, Any], given: Mapping[str, Any]) -> str:
+    """Return the keys of a driver's senses that are not as given, each as `--set` takes it."""
+    return " ".join(f"{key}={json.dumps(value)}" for key, value in own.items() if given[key] != value)

@@ -6,13 +6,13 @@ import json
 from safetensors.numpy import save
 
 from rail_sumo import run, training
-from rail_sumo.assets import EXPERT_DEMONSTRATIONS, EXPERT_POLICY, EXPERT_RECIPE, MANIFEST
+from rail_sumo.assets import EXPERT_DEMONSTRATIONS, EXPERT_POLICY, EXPERT_RECIPE, MANIFEST, sha256
 from rail_sumo.config import Config
 from rail_sumo.config_file import dumps
 from rail_sumo.drivers import Expert
 from rail_sumo.files import AnyPath, check_folder, whole_folder
 from rail_sumo.highway.observation import feature_names
-from rail_sumo.imitation.demonstrations import Demonstrations
+from rail_sumo.imitation.demonstrations import DRIVER_SHA256, Demonstrations
 from rail_sumo.records import Floats
 from rail_sumo.rollout import EXPERT_TRAINING, Task, practise_all, traffic_seed
 from rail_sumo.tables import report
@@ -62,6 +62,7 @@ def train(
         weights = save(_tensors(expert), metadata={"features": json.dumps(features)})
         (whole / EXPERT_POLICY).write_bytes(weights)  # not by safetensors, whose files nobody else may read
         (whole / EXPERT_RECIPE).write_text(dumps(config), encoding="utf-8")
+        about[DRIVER_SHA256] = sha256(whole / EXPERT_POLICY)
         demonstrations.save(whole / EXPERT_DEMONSTRATIONS, features=features, about=about)
         means = tables.summary.set_index("metric")["mean"]
         written = run.manifest(whole, means, seed, training.world_inputs(config))

@@ -65,7 +65,7 @@ class Policy:
             weights once, so that a decision costs one matrix product a layer.
 
     Raises:
-        ValueError: theta or whitening does not fit the shape.
+        ValueError: theta or whitening does not fit the shape, or is not finite.
     """
 
     def __init__(self, theta: Floats, shape: Shape, whitening: Whitening) -> None:
@@ -74,6 +74,10 @@ class Policy:
             raise ValueError(f"theta must have shape ({shape.size},) for {shape}; got {theta.shape}")
         if whitening.mean.shape != (shape.n_features,):
             raise ValueError(f"whitening must have shape ({shape.n_features},); got {whitening.mean.shape}")
+        for name, values in (("theta", theta), ("whitening", np.array([whitening.mean, whitening.std]))):
+            if not np.isfinite(values).all():
+                n_wrong = values.size - np.isfinite(values).sum()
+                raise ValueError(f"{name} must be finite; {n_wrong} of {values.size} values are not")
         self.shape = shape
         matrices = unflatten(theta, shape)
         weights = matrices[0][:, :-1] / whitening.std

@@ -56,6 +56,11 @@ def require_heeded(policies: Iterable[str], world: Config, overrides: Iterable[s
                 f"{key} is about learning, and changes nobody who drives{as_trained if key == 'policy.mode' else ''}; "
                 "leave it out"
             )
+    require_senses_heeded(policies, world, overrides)
+
+
+def require_senses_heeded(policies: Iterable[str], world: Config, overrides: Iterable[str]) -> None:
+    """Raise InputError if overrides ask for other senses than one of the policies has."""
     if any(override.startswith(("lidar.", "observation.")) for override in overrides):
         for policy in policies:
             drivers.require_same_senses(find_driver(policy, world), world, f"policy '{policy}'")

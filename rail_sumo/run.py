@@ -24,7 +24,7 @@ from rail_sumo.highway.env import HighwayEnv
 from rail_sumo.highway.network import demand
 from rail_sumo.highway.observation import feature_names
 from rail_sumo.highway.simulation import floating_car_data
-from rail_sumo.imitation.demonstrations import Demonstrations
+from rail_sumo.imitation.demonstrations import DRIVER_SHA256, Demonstrations
 from rail_sumo.policy import ARGMAX, SAMPLED
 from rail_sumo.records import Trajectory
 from rail_sumo.rollout import (
@@ -237,19 +237,30 @@ def demonstrate(
 ) -> Demonstrations:
     """Record a driver, by name, expert's folder or run directory, into a file; see `record` and `evaluate`.
 
+    Where the world's senses are the default ones, the driver's own are recorded, and the observer is told.
+
     Raises:
-        InputError: the file `out` exists and is not to be overwritten, or cannot be written; bad input of any kind.
+        InputError: the file `out` is not named FILE.parquet, exists and is not to be overwritten, or cannot be written;
+            the world has senses of its own, and the driver others; bad input of any kind.
     """
     if drivers.hands_off(driver):
         raise InputError(
             f"driver '{driver}' takes no decisions that could be recorded; take rule, expert or a run directory"
         )
+    if Path(out).suffix != ".parquet":
+        raise InputError(f"demonstrations are a Parquet file, FILE.parquet; got '{out}'")
     check_file(out, overwrite=overwrite)
     require_drivable(world, episodes)
     who = roster.find_driver(driver, world)
+    if not isinstance(who, str) and world.senses == Config().senses:
+        given, world = world, world.seen_with(who.senses)
+        if keys := drivers.settings(world.sensing, given.sensing):
+            observer.note(f"the demonstrations have the senses of '{driver}'; to learn from them, set {keys}")
     drivers.require_same_senses(who, world, f"driver '{driver}'")
     demonstrations = record(who, world, episodes=episodes, seed=seed, workers=workers, observer=observer)
     about = {"driver": driver, "seed": str(seed), "config": dumps(world)}
+    if content := roster.content_of(driver, world):
+        about[DRIVER_SHA256] = content
     demonstrations.save(out, features=feature_names(world.lidar, world.observation), about=about)
     return demonstrations
 

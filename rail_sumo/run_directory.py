@@ -19,7 +19,7 @@ import safetensors.numpy
 from numpy.typing import NDArray
 from safetensors import SafetensorError, safe_open
 
-from rail_sumo.assets import own_version
+from rail_sumo.assets import is_expert, own_version
 from rail_sumo.config import Config
 from rail_sumo.config_file import dumps, first_difference, load
 from rail_sumo.errors import InputError
@@ -86,11 +86,19 @@ class RunDirectory:
 
     def __init__(self, path: AnyPath) -> None:
         path = Path(path)
+        if path.is_file():
+            meant = f", '{path.parent}'" if (path.parent / CONFIG).is_file() else ""
+            raise InputError(f"'{path}' is a file; name the run's folder{meant}")
         if not path.is_dir():
             raise InputError(f"run directory '{path}' not found")
         if not (path / CONFIG).is_file():
             is_evaluation = " (it is an evaluation: name those who drove there)" if (path / WORLD).is_file() else ""
             raise InputError(f"'{path}' is not a run directory: it has no {CONFIG}{is_evaluation}")
+        if not (path / CLONE).is_file() and is_expert(path):
+            raise InputError(
+                f"'{path}' is an expert's folder, not a run directory: it drives under that name, and train.expert "
+                "takes it; what goes on with a training or draws one wants a run of rail-sumo train"
+            )
         self.path = path
         self.config = load(path / CONFIG)
         clone, _, self._about = _read_driver(path / CLONE)
@@ -173,11 +181,22 @@ class RunDirectory:
         except KeyError as error:
             raise _damaged(path, error) from None
 
+    def differs_by_seed_alone(self, other: "RunDirectory") -> bool:
+        """Return whether another run is of the same configuration and files, and of another seed.
+
+        How many iterations and evaluation episodes it is to have does not matter.
+        """
+        return (self._fixed, self.inputs) == (other._fixed, other.inputs) and self.seed != other.seed
+
+    @property
+    def _fixed(self) -> dict[str, Any]:
+        """The keys that its iterations follow from."""
+        return {key: value for key, value in self.config.flat().items() if key not in MAY_CHANGE}
+
     @property
     def _made_of(self) -> str:
         """What its iterations follow from, as SHA-256."""
-        fixed = {key: value for key, value in self.config.flat().items() if key not in MAY_CHANGE}
-        followed = json.dumps([fixed, self.seed, self.inputs], sort_keys=True)
+        followed = json.dumps([self._fixed, self.seed, self.inputs], sort_keys=True)
         return hashlib.sha256(followed.encode()).hexdigest()
 
     def save(self, checkpoint: Checkpoint) -> None:
@@ -203,8 +222,7 @@ class RunDirectory:
             InputError: the run was started with another seed, configuration or content of the files it reads, or has
                 done more iterations than it is to have.
         """
-        started = {key: value for key, value in self.config.flat().items() if key not in MAY_CHANGE}
-        mismatch = first_difference(started | {"seed": self.seed}, config.flat() | {"seed": seed})
+        mismatch = first_difference(self._fixed | {"seed": self.seed}, config.flat() | {"seed": seed})
         if mismatch:
             raise InputError(
                 f"run directory '{self.path}' was started with {mismatch}; resume it as it was started, or start "

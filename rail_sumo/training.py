@@ -3,6 +3,7 @@
 import itertools
 import time
 from collections.abc import Iterable, Iterator
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -13,7 +14,7 @@ from rail_sumo.errors import InputError
 from rail_sumo.highway import metrics, varied
 from rail_sumo.highway.network import demand
 from rail_sumo.highway.observation import bounds, feature_names
-from rail_sumo.imitation.demonstrations import Demonstrations, recorded_on
+from rail_sumo.imitation.demonstrations import Demonstrations, recorded_by, recorded_on
 from rail_sumo.learners import Iteration, Practice, learner_of
 from rail_sumo.policy import ARGMAX, SAMPLED, PolicyParameters, Shape, Whitening
 from rail_sumo.rollout import SILENT, Observer, WorkerCount
@@ -63,6 +64,7 @@ def learn(
                     f"learner '{config.train.learner}' yields a {type(iteration).__name__}; it has to yield an "
                     "`Iteration` of rail_sumo.learners"
                 )
+            _require_drivable(iteration.learned, checkpoint, config.train.learner)
             row = _progress(iteration, checkpoint.progress, time.perf_counter() - started)
             checkpoint = Checkpoint(iteration.learned, iteration.memory, (*checkpoint.progress, row))
             run.save(checkpoint)
@@ -92,14 +94,39 @@ def doubts(config: Config, demonstrations: Demonstrations) -> Iterator[str]:
         )
 
 
-def other_expert(config: Config) -> Iterator[str]:
-    """Tell that the table compares with `train.expert`, and the demonstrations may be of another driver."""
-    if learner_of(config).reads_demonstrations and config.train.demonstrations != "expert":
-        and_asks = f", whom {config.train.learner} asks too" if learner_of(config).asks_the_expert else ""
+def other_expert(config: Config, compares: str = "the table at the end compares with") -> Iterator[str]:
+    """Tell whom demonstrations are of, and whom figures compare with, unless the expert is known to be both.
+
+    Args:
+        config: names the demonstrations and the expert.
+        compares: what refers to the expert; the sentence goes on with "the expert that train.expert names".
+    """
+    learner = learner_of(config)
+    if not learner.reads_demonstrations:
+        return
+    file, folder = _demonstrations_file(config), assets.expert_folder(config.train.expert)
+    if file.resolve() == (folder / assets.EXPERT_DEMONSTRATIONS).resolve():
+        return
+    driver, content = recorded_by(file)
+    expert = expert_input(config)["train.expert"]
+    if content == expert:
+        return
+    asked = f", whom {config.train.learner} asks too" if learner.asks_the_expert else ""
+    named = f"the expert that train.expert names, {_told(config.train.expert, expert)}{asked}"
+    if content or driver not in ("", "expert", config.train.expert):
         yield (
-            f"the table at the end compares with the expert that train.expert names{and_asks}; if another made the "
-            f"demonstrations, compare with that one: rail-sumo eval RUN DRIVER --reference DRIVER"
+            f"the demonstrations are of {_told(driver, content)}, and {compares} {named}: compare with the driver of "
+            "the demonstrations by: rail-sumo eval RUN DRIVER --reference DRIVER"
         )
+    else:
+        yield (
+            f"the demonstrations do not tell for certain whose they are, and {compares} {named}; if another made them, "
+            "compare with that one by: rail-sumo eval RUN DRIVER --reference DRIVER"
+        )
+
+
+def _told(driver: str, content: str) -> str:
+    return f"'{driver}'" + (f" (SHA-256 {content[:12]}...)" if content else "")
 
 
 def require_loss(config: Config) -> None:
@@ -156,6 +183,16 @@ def _start(config: Config, demonstrations: Demonstrations, seed: int) -> PolicyP
     masked, samples = config.policy.masked, config.policy.mode == SAMPLED
     theta = bc.clone(demonstrations, shape, whitening, cloning, seed, masked=masked)
     return PolicyParameters(theta, shape, whitening, samples, masked)
+
+
+def _require_drivable(learned: PolicyParameters, before: Checkpoint, learner: str) -> None:
+    """Raise InputError if what an iteration made is no policy of the run's shape, or has values that are not finite."""
+    try:
+        replace(learned, shape=before.learned.shape).policy()
+    except ValueError as error:
+        raise InputError(
+            f"what learner '{learner}' yields in iteration {before.iteration + 1} cannot drive: {error}"
+        ) from None
 
 
 def _progress(iteration: Iteration, before: tuple[Row, ...], seconds: float) -> Row:

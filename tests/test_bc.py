@@ -3,6 +3,7 @@ import pytest
 import torch
 
 from rail_sumo.config import Cloning
+from rail_sumo.errors import InputError
 from rail_sumo.imitation import bc
 from rail_sumo.imitation.demonstrations import Demonstrations
 from rail_sumo.policy import Policy, Shape, Whitening, unflatten
@@ -98,3 +99,8 @@ def test_demonstrations_must_fit_the_policy():
     whitening = Whitening(np.zeros(3), np.ones(3))
     with pytest.raises(ValueError, match=r"demonstrations must have 3 features .*; got 2"):
         bc.clone(demonstrations, Shape(3, None), whitening, Cloning(), seed=0)
+
+
+def test_a_clone_whose_weights_do_not_stay_finite_is_refused():
+    with pytest.raises(InputError, match=r"^training diverged: weights .* set a smaller cloning\.learning_rate$"):
+        agreement(quadrants(np.random.default_rng(0)), 8, Cloning(learning_rate=1e30, epochs=3))

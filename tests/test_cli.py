@@ -33,6 +33,13 @@ def lay_out(folder):
     (folder / "exists").mkdir()
     (folder / "exists" / "notes.txt").touch()
     (folder / "file").touch()
+    (folder / "there.parquet").touch()
+    (folder / "runs" / "x").mkdir(parents=True)
+    (folder / "runs" / "x" / "config.toml").touch()
+    (folder / "runs" / "x" / "policy.safetensors").touch()
+    (folder / "expert").mkdir()
+    (folder / "expert" / "config.toml").touch()
+    (folder / "expert" / "manifest.json").write_text('{"files": {"demonstrations.parquet": ""}}')
     (folder / "cut.net.xml").write_text('<net version="1.20"><edge ')
     (folder / "cut.sumocfg").write_text("<configuration>")
     (folder / "closed.net.xml").write_text(CLOSED)
@@ -77,7 +84,10 @@ BAD = {
     "eval keep --episodes 0": "episodes must be at least 1; got 0",
     "eval exprt": f"policy 'exprt' is neither a run directory nor a driver; did you mean 'expert'? {DRIVERS}",
     "eval exists": "'exists' is not a run directory: it has no config.toml",
-    "eval file": "run directory 'file' not found",
+    "eval file": "'file' is a file; name the run's folder\n",
+    "eval runs/x/policy.safetensors": "'runs/x/policy.safetensors' is a file; name the run's folder, 'runs/x'\n",
+    "plot expert": "'expert' is an expert's folder, not a run directory: it drives under that name",
+    "train --out expert --resume": "'expert' is an expert's folder, not a run directory: it drives under that name",
     "eval cut": "'cut/clone.safetensors' is truncated or damaged (SafetensorError: ",
     "eval keep --out exists": "output folder 'exists' exists; choose another, or replace its tables with --overwrite",
     "eval keep --episodes 0 --out new/folder": "episodes must be at least 1; got 0",
@@ -100,9 +110,11 @@ BAD = {
     "network check closed.net.xml": "network 'closed.net.xml' has no edge that is open to cars; rail",
     "eval acc": "'acc' drives a share of a demand; compare it in: rail-sumo sweep share",
     "eval some.toml": "'some.toml' is a configuration, not a driver; name it by --config",
-    "expert record --out file": "output file 'file' exists; choose another, or replace it with --overwrite",
-    "expert record --driver rul --out new": "policy 'rul' is neither a run directory nor a driver; did you mean",
-    "expert record --episodes 0 --driver keep --out new": "episodes must be at least 1; got 0",
+    "expert record --driver road-expert --out new.parquet --set observation.host_speed=false": "policy 'road-expert' w",
+    "expert record --out new.csv": "demonstrations are a Parquet file, FILE.parquet; got 'new.csv'",
+    "expert record --out there.parquet": "output file 'there.parquet' exists; choose another, or replace it with --ov",
+    "expert record --driver rul --out new.parquet": "policy 'rul' is neither a run directory nor a driver; did you",
+    "expert record --episodes 0 --driver keep --out new.parquet": "episodes must be at least 1; got 0",
 }
 
 

@@ -179,10 +179,10 @@ def test_on_the_same_traffic_the_rule_driver_is_always_faster_than_keeping_and_r
     assert not (speeds["random"] > speeds["keep"]).all()
 
 
-def test_a_driver_that_must_see_as_the_world_says_is_refused_by_the_first_key_that_differs():
+def test_a_driver_that_must_see_as_the_world_says_is_told_which_keys_to_set():
     message = (
-        "the expert was trained with lidar.n_rays = 24, not 12; leave [lidar] and [observation] as they were, or train "
-        "another"
+        "the expert was trained with lidar.n_rays = 24, not 12; set lidar.n_rays=24 observation.host_speed=false "
+        "observation.lateral_state=false, or train another"
     )
     odd = Config(lidar=config.Lidar(n_rays=12), observation=config.Observation(host_speed=True, lateral_state=True))
     with pytest.raises(ObservationError, match=f"^{re.escape(message)}$"):

@@ -5,6 +5,7 @@ import re
 import subprocess
 import sys
 from pathlib import Path
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -28,6 +29,21 @@ def test_ppo_trains_and_is_evaluated_beside_it(capsys):
     assert printed.count("Success rate: 100.00%") == 2
     assert f"a reward of {best:.1f} an episode" in printed
     assert 0.0 < best < 1000.0  # at most 1 for each step of the two minutes that 2 km take
+
+
+def test_ppo_is_compared_with_the_expert_on_the_same_traffic(capsys):
+    tables = example("ppo_compared").main(["--decisions", "64"])
+    assert tables.episodes.groupby("policy")["seed"].apply(tuple).nunique() == 1
+    assert set(tables.episodes["policy"]) == {"ppo", "expert"}
+    speeds = tables.summary[tables.summary["metric"] == "speed_kmh"].set_index("policy")["mean"]
+    assert f"{speeds['ppo']:.6f}" in capsys.readouterr().out
+
+
+def test_a_taught_driver_sees_observations_as_its_learner_did():
+    taught = example("ppo_compared").Taught
+    normalised = SimpleNamespace(normalize_obs=lambda observation: observation - 50.0)
+    learner = SimpleNamespace(predict=lambda seen, deterministic: (np.array(4 if seen[0] == 7.0 else 0), None))
+    assert taught(learner, normalised).decide(np.array([57.0]), None) == 4
 
 
 def test_two_vector_environments_tell_light_traffic_from_dense(capsys):

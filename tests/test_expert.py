@@ -1,14 +1,15 @@
 import itertools
 import json
+import shutil
 
 import numpy as np
 import pytest
 
-from rail_sumo import assets, config, config_file, drivers, expert, rollout, roster, run
+from rail_sumo import assets, config, config_file, drivers, expert, rollout, roster, run, training
 from rail_sumo.assets import sha256
 from rail_sumo.errors import InputError
 from rail_sumo.imitation import ppo
-from rail_sumo.imitation.demonstrations import Demonstrations
+from rail_sumo.imitation.demonstrations import Demonstrations, recorded_by
 from rail_sumo.records import MetaAction
 
 N_FEATURES = 48
@@ -55,6 +56,14 @@ def test_the_demonstrations_are_its_own_on_other_traffic_than_the_evaluation(tra
     assert set(demonstrations.actions) == {MetaAction.ACCELERATE}
     again = run.record(drivers.load_expert(world, trained), world, episodes=3, seed=5)
     np.testing.assert_array_equal(demonstrations.observations, again.observations)
+
+
+def test_the_demonstrations_tell_whose_they_are_wherever_they_lie(trained, tmp_path):
+    of_it = shutil.copy(trained / "demonstrations.parquet", tmp_path / "moved.parquet")
+    assert recorded_by(of_it) == ("expert", sha256(trained / "policy.safetensors"))
+    own = SHORT.changed(train={"expert": str(trained), "demonstrations": str(of_it)})
+    assert not list(training.other_expert(own))
+    assert len(list(training.other_expert(own.changed(train={"expert": "shipped"})))) == 1
 
 
 def test_training_recording_and_evaluation_meet_traffic_of_their_own(tmp_path, monkeypatch):
@@ -120,6 +129,21 @@ def test_a_changed_file_is_refused(trained):
         file.write(b"x")
     with pytest.raises(InputError, match=r"policy.safetensors' is damaged or was changed"):
         roster.find_driver(str(trained), SHORT)
+
+
+def test_one_whose_weights_are_not_finite_is_no_driver(tmp_path, monkeypatch):
+    wild = [(np.full((5, N_FEATURES), np.nan), np.zeros(5))]
+    monkeypatch.setattr(ppo, "train", lambda config, seed, traffic_seeds, observer, first: wild)
+    expert.train(SHORT, tmp_path / "wild", seed=5)
+    with pytest.raises(InputError, match=r"^the expert in '.*wild' cannot drive: weights .* not finite; train an"):
+        roster.find_driver(str(tmp_path / "wild"), SHORT)
+
+
+def test_a_training_whose_weights_do_not_stay_finite_is_one_line():
+    brief = ["decisions=256", "decisions_per_update=128", "batch_size=64", "begins_as_rule=0", "learning_rate=1e30"]
+    wild = config_file.load(None, ["episode.duration_s=20", *(f"expert.{one}" for one in brief)])
+    with pytest.raises(InputError, match=r"^training diverged: .* set a smaller expert\.learning_rate$"):
+        ppo.train(wild, 0, itertools.count())
 
 
 def test_an_existing_folder_is_refused_before_any_training(trained, monkeypatch):

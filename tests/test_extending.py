@@ -10,9 +10,10 @@ from pathlib import Path
 import numpy as np
 import pandas as pd
 import pytest
+import torch
 from safetensors.numpy import load_file
 
-from rail_sumo import learners, registry, roster
+from rail_sumo import assets, learners, registry, rollout, roster
 from rail_sumo.config_file import load
 from rail_sumo.errors import InputError
 from rail_sumo.imitation.demonstrations import recorded_on
@@ -158,6 +159,22 @@ def test_the_demonstrations_shown_are_learned_from(shown):
     rail_sumo(folder, f"{command} --set train.learner=bc --out runs/mine", "--set", "train.iterations=0")
     policy = RunDirectory(folder / "runs" / "mine").policy().policy()
     assert policy(np.array([100.0] * 24 + [0.0] * 24)) == MetaAction.ACCELERATE  # all it was shown
+
+
+def test_the_weights_shown_are_the_policy_and_the_judge_of_a_run(shown, monkeypatch):
+    folder, _ = shown
+    file = folder / "weights.py"
+    file.write_text(file.read_text().replace("runs/first", str(assets.driver("rail"))))
+    monkeypatch.syspath_prepend(folder)
+    weights = import_module("weights")
+    world = load(None, ["episode.duration_s=60"])
+    driven = rollout.drive(rollout.Task(roster.find_driver("rail", world), world, 7))
+    seen, done = torch.tensor(driven.observations).float(), torch.tensor(driven.carried_out)
+    policy = roster.find_driver("rail", world).policy()
+    expected = [policy.outputs(observation) for observation in driven.observations]
+    np.testing.assert_allclose(weights.logits(seen).numpy(), expected, atol=1e-3)
+    by_judge = learners.verdicts(RunDirectory(assets.driver("rail")), driven)
+    np.testing.assert_allclose(weights.verdicts(seen, done).detach().numpy(), by_judge, atol=1e-4)
 
 
 @pytest.mark.parametrize(

@@ -13,6 +13,7 @@ from rail_sumo.drivers import Learned
 from rail_sumo.errors import InputError
 from rail_sumo.imitation import gail
 from rail_sumo.imitation.discriminator import Discriminator, Fit
+from rail_sumo.imitation.perceptron import kept_in_bounds
 from rail_sumo.policy import Policy, PolicyParameters, Shape, Whitening
 
 SETTINGS = config.Gail(learning_rate=0.01, batch_size=40, epochs=5, critic_hidden=(8,), discount=0.5)
@@ -198,3 +199,16 @@ def test_the_callers_own_chance_is_left_alone(left_alone_by):
         learner.update([episode(sights(1), np.zeros(N_DECISIONS))], Indifferent().rewards, np.random.default_rng(0))
 
     assert left_alone_by(learn)
+
+
+@pytest.mark.parametrize("rate", [1e20, 1e30])
+def test_a_training_whose_weights_do_not_stay_finite_is_one_line(rate):
+    settings = SETTINGS.model_copy(update={"learning_rate": rate})
+    wild = gail.Ppo(wrong_everywhere(), SHAPE, WHITENING, settings, lowest_reward=-5.0, seed=0)
+    with pytest.raises(InputError, match=r"^training diverged: weights .* set a smaller gail\.learning_rate$"):
+        train(wild, judge(), 2)
+
+
+def test_another_error_of_an_update_keeps_its_traceback():
+    with pytest.raises(ValueError, match="mine"), kept_in_bounds(torch.nn.Linear(2, 2), "gail.learning_rate"):
+        raise ValueError("mine")

@@ -16,10 +16,10 @@ N_FEATURES = 48
 def run(tmp_path):
     """Make a run whose every figure was these values, iteration by iteration, but for columns of their own."""
 
-    def make(name, values, seed=0, **own):
+    def make(name, values, seed=0, config=None, inputs=None, **own):
         shape = Shape(N_FEATURES, 2)
         clone = PolicyParameters(np.zeros(shape.size), shape, Whitening(np.zeros(N_FEATURES), np.ones(N_FEATURES)))
-        directory = RunDirectory.create(tmp_path / name, Config(), seed, {}, clone)
+        directory = RunDirectory.create(tmp_path / name, config or Config(), seed, inputs or {}, clone)
         rows = tuple(
             {column: float(value) for column in PROGRESS_COLUMNS}
             | {"iteration": number, "environment_steps": 1_000_000 * number, "seconds": 120.0 * number}
@@ -74,6 +74,24 @@ def test_groups_have_curves_of_their_own_and_are_named_in_the_legend(run):
         *("again_0", "again_1"),  # of one seed: no trainings independent of one another
     ]
     assert len({line.get_color() for line in figure.axes[0].lines}) == 5
+
+
+@pytest.mark.parametrize(
+    ("section", "changes", "inputs", "curves"),
+    [
+        ("train", {"learner": "gail"}, {}, ["mix-seed0", "mix-seed1"]),
+        ("search", {"n_top": 3}, {}, ["mix-seed0", "mix-seed1"]),
+        ("train", {}, {"network.file": "another content"}, ["mix-seed0", "mix-seed1"]),
+        ("train", {"iterations": 7, "evaluation_episodes": 3}, {}, ["mix (2 runs)"]),
+    ],
+)
+def test_runs_that_differ_by_more_than_their_seed_are_no_one_curve_whatever_their_names(
+    run, section, changes, inputs, curves
+):
+    one = run("mix-seed0", [60, 61], seed=0)
+    other = run("mix-seed1", [66, 67], seed=1, config=Config().changed(**{section: changes}), inputs=inputs)
+    figure = plot.learning_curves([one, other])
+    assert [text.get_text() for text in figure.legends[0].get_texts()] == curves
 
 
 def test_the_judges_two_means_share_a_panel(run):

@@ -105,6 +105,17 @@ def test_whitening_that_does_not_fit_is_refused():
         Policy(np.zeros(15), Shape(2, None), plain(3))
 
 
+@pytest.mark.parametrize("wrong", [np.nan, np.inf, -np.inf])
+def test_what_is_not_finite_is_refused(wrong):
+    theta, whitening = np.zeros(15), plain(2)
+    theta[[3, 7]] = wrong
+    with pytest.raises(ValueError, match=r"^theta must be finite; 2 of 15 values are not$"):
+        Policy(theta, Shape(2, None), whitening)
+    whitening.mean[1] = wrong
+    with pytest.raises(ValueError, match=r"^whitening must be finite; 1 of 4 values are not$"):
+        Policy(np.zeros(15), Shape(2, None), whitening)
+
+
 def test_whitening_is_measured_by_column_and_a_constant_feature_keeps_its_scale():
     whitening = Whitening.of(np.array([[1.0, 7.0, -3.0], [3.0, 7.0, -5.0]]))
     assert whitening.mean.tolist() == [2.0, 7.0, -4.0]

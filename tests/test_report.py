@@ -279,6 +279,29 @@ def test_the_terminal_shows_usual_figures_and_who_drove_within_100_columns():
         assert re.split(r"  +", lines[line_of(name, lines)].strip()) == [name, *shown, "32"]
 
 
+@pytest.mark.parametrize(
+    ("low", "high", "shown"),
+    [
+        (0.9930, 0.9996, "0.9930\N{EN DASH}0.9996"),
+        (0.99, 0.996, "0.990\N{EN DASH}0.996"),
+        (1.004, 1.02, "1.004\N{EN DASH}1.020"),
+        (0.97, 0.994, "0.97\N{EN DASH}0.99"),
+        (0.97, 1.0004, "0.97\N{EN DASH}1.00"),
+        (0.9996, 1.02, "1.00\N{EN DASH}1.02"),
+        (1.0, 1.0, "1.00\N{EN DASH}1.00"),
+        (0.99, 0.999999, "0.990000\N{EN DASH}0.999999"),
+    ],
+)
+def test_an_interval_without_1_never_looks_as_if_it_held_1_within_100_columns(low, high, shown):
+    summary = report.summary(report.episodes(rows("rule", [63.0, 65.0]) + rows("expert", [70.0, 70.0])))
+    summary.loc[summary["policy"] == "rule", ["ratio_low", "ratio_high"]] = low, high
+    lines = printed(summary)
+    assert max(map(len, lines)) <= 100
+    assert lines[line_of("rule", lines) + 1].split() == [shown] * 3
+    ends = [float(end) for end in shown.split("\N{EN DASH}")]
+    assert (ends[0] <= 1.0 <= ends[1]) == (low <= 1.0 <= high)
+
+
 def test_a_narrow_terminal_is_shown_less_and_every_name():
     driven = report.episodes(rows("runs/first", [63.0, 65.0]) + rows("expert", [70.0, 71.0]))
     console = Console(width=80)
@@ -290,13 +313,13 @@ def test_a_narrow_terminal_is_shown_less_and_every_name():
     assert lines[line_of("runs/first", lines)].split()[-2:] == ["1.0", "4"]  # refused, contacts
 
 
-def test_that_all_drove_alike_is_told():
+def test_that_all_drove_alike_is_told_and_not_that_one_drove_its_episodes_alike():
     alike = rows("rule", [100.0, 60.0]) + rows("mine", [100.9, 59.9])
     (line,) = report.alike(report.episodes(alike))
-    assert line.startswith("all drive every episode at the same speed, to within 1 %: ")
+    assert line.startswith("in each episode all of them are as fast as each other, to within 1 %: one may have learned")
     another = rows("other", [102.5, 60.0])
     (line,) = report.alike(report.episodes(alike + another + rows("sumo", [80.0, 60.0]) + rows("keep", [100.2, 60.1])))
-    assert line.startswith("rule, mine, keep drive every episode at the same speed")  # though two others do not
+    assert line.startswith("in each episode rule, mine, keep are as fast as each other")  # though two others do not
     assert not report.alike(report.episodes(alike + another))  # two of three may have learned the same
     apart = rows("rule", [100.0, 60.0]) + rows("mine", [101.5, 60.0])
     assert report.alike(report.episodes(apart)) == report.alike(report.episodes(rows("rule", [100.0]))) == []

@@ -187,13 +187,14 @@ def test_the_folder_tells_what_made_it(world, done, tmp_path):
 
 
 def test_demonstrations_of_another_than_the_expert_are_told_of_beside_the_table(world, done, tmp_path, monkeypatch):
-    shown = assets.expert("demonstrations.parquet", assets.expert_folder("shipped"))
+    shown = shutil.copy(assets.expert("demonstrations.parquet"), tmp_path)  # where it is not known to be the expert's
     own, notes = world.changed(train={"demonstrations": str(shown)}), []
     monkeypatch.setattr(type(SILENT), "note", lambda observer, text: notes.append(text))
     table1(own, tmp_path / "own", ("rail-2",), seeds=1)
     table1(world, tmp_path / "experts", ("rail-2",), seeds=1)
     (told,) = notes
-    assert told.startswith("ratios and 'told apart' are to the expert that train.expert names; if another made")
+    said = "the demonstrations do not tell for certain whose they are, and ratios and 'told apart' are to the expert"
+    assert told.startswith(said)
     assert told in (tmp_path / "own" / "table1.md").read_text()
     assert told not in (tmp_path / "experts" / "table1.md").read_text()
 
@@ -313,6 +314,20 @@ def test_refused_decisions_and_how_well_one_is_told_apart_are_in_the_table(world
     assert last["SUMO's driver"] == ["0.0", "", "16"]
 
 
+@pytest.mark.parametrize(
+    ("interval", "shown"),
+    [
+        ((0.9971, 0.9945, 0.9997), "0.9971 (0.9945 to 0.9997)"),
+        ((0.9971, 0.9945, 1.0003), "0.997 (0.995 to 1.000)"),
+        ((1.0021, 1.00004, 1.0041), "1.00210 (1.00004 to 1.00410)"),
+        ((np.nan, np.nan, np.nan), ""),
+        ((1.0, np.nan, np.nan), "1.000"),
+    ],
+)
+def test_a_ratio_whose_interval_is_without_1_does_not_look_as_if_it_held_1(interval, shown):
+    assert reproduce.ratio_with_interval(*interval) == shown
+
+
 def test_some_rows_alone_are_in_the_tables_order_and_the_expert_is_always_there(world, done, tmp_path):
     assert reproduce.chosen("") == tuple(SYSTEMS)
     assert reproduce.chosen(" rule,bc-2-unmasked, rail-1,,rule") == ("rail-1", "bc-2-unmasked", "rule")
@@ -335,6 +350,7 @@ def test_fewer_than_five_trainings_are_noted(world, done, tmp_path, seeds, few):
     assert f"Trainings of each learner: {seeds}; held-out episodes of each in either mode, " in markdown
     assert f"training's traffic: {N_EPISODES}. Means" in markdown
     assert ("**Fewer than 5 trainings**" in markdown) == few
+    assert ("of told apart may reach below 0 or above 1" in markdown) == few
 
 
 def test_drivers_that_do_not_train_cannot_have_too_few_trainings(world, done, tmp_path):

@@ -22,7 +22,7 @@ from rail_sumo.errors import InputError, NotBegun
 from rail_sumo.highway.reward import total_reward
 from rail_sumo.highway.simulation import HOST
 from rail_sumo.imitation import gail
-from rail_sumo.imitation.demonstrations import Demonstrations
+from rail_sumo.imitation.demonstrations import Demonstrations, recorded_by
 from rail_sumo.policy import PolicyParameters
 from rail_sumo.records import DECISION_COLUMNS, METRICS, MetaAction, Trajectory
 from rail_sumo.run_directory import CHECKPOINT, CLONE, CONFIG, JUDGE, POLICY, PROGRESS, PROGRESS_COLUMNS, RunDirectory
@@ -319,7 +319,7 @@ def test_a_run_is_evaluated_in_its_own_world_unless_told_otherwise(trained, smal
 
 def test_a_policy_drives_anywhere_with_its_own_senses_unless_others_are_asked_for(trained):
     assert roster.find_driver(str(trained), config.Config()).senses.lidar.n_rays == N_FEATURES // 2
-    with pytest.raises(InputError, match=r"was trained with lidar\.n_rays = 4, not 24; leave \[lidar\] and"):
+    with pytest.raises(InputError, match=r"was trained with lidar\.n_rays = 4, not 24; set lidar\.n_rays=4, or tr"):
         roster.world(["keep", str(trained)], ["lidar.n_rays=24"])
 
 
@@ -803,15 +803,80 @@ def test_demonstrations_of_another_road_are_told_to_who_learns_from_them(small, 
     assert said.startswith(f"the demonstrations were recorded on {own}, and this trains on ring5: ")
 
 
-def test_who_the_table_compares_with_is_told_where_the_demonstrations_are_another_file(small, driven, tmp_path):
-    told = {}
-    for learner in ("bc", "dagger"):
-        notes = told[learner] = Notes()
-        world = small.changed(train={"learner": learner, "iterations": 0})
-        training.learn(world, tmp_path / learner, seed=1, observer=notes)
-    said = "the table at the end compares with the expert that train.expert names"
-    first = [next(line for line in notes.told if line.startswith(said)) for notes in told.values()]
-    assert [line.split(";")[0] for line in first] == [said, f"{said}, whom dagger asks too"]
+EXPERTS_SHA256 = assets.sha256(assets.expert(assets.EXPERT_POLICY))
+
+
+@pytest.mark.parametrize(
+    ("about", "said"),
+    [
+        ({}, "do not tell for certain whose they are"),
+        ({"driver": "expert"}, "do not tell for certain whose they are"),  # any expert's file said so once
+        ({"driver": "expert", "driver_sha256": EXPERTS_SHA256}, None),
+        ({"driver": "runs/copy", "driver_sha256": EXPERTS_SHA256}, None),
+        ({"driver": "expert", "driver_sha256": "0123456789abcdef"}, "are of 'expert' (SHA-256 0123456789ab...)"),
+        ({"driver": "rule"}, "are of 'rule'"),
+    ],
+)
+def test_whom_the_table_compares_with_is_told_unless_it_made_the_demonstrations(small, tmp_path, about, said):
+    file, features = tmp_path / "demonstrations.parquet", run.feature_names(small.lidar, small.observation)
+    Demonstrations.load(file, features=features).save(file, features=features, about=about)
+    told = list(training.other_expert(small))
+    named = f"the expert that train.expert names, 'shipped' (SHA-256 {EXPERTS_SHA256[:12]}...)"
+    begins = f"the demonstrations {said}, and the table at the end compares with {named}"
+    assert [line[: len(begins)] for line in told] == ([begins] if said else [])
+    asked = list(training.other_expert(small.changed(train={"learner": "dagger"})))
+    assert [f"{named}, whom dagger asks too" in line for line in asked] == [True] * len(told)
+    of_a_study = list(training.other_expert(small, "ratios and 'told apart' are to"))
+    assert [f", and ratios and 'told apart' are to {named}" in line for line in of_a_study] == [True] * len(told)
+
+
+def test_a_training_and_its_manifest_tell_whose_the_demonstrations_are(small, driven, tmp_path):
+    notes = Notes()
+    run.train(small.changed(train={"iterations": 0}), tmp_path / "run", seed=1, observer=notes)
+    (told,) = training.other_expert(small)
+    assert notes.told.count(told) == 1
+    assert told in json.loads((tmp_path / "run" / "manifest.json").read_text())["notes"]
+
+
+def test_the_experts_own_file_is_known_by_its_place():
+    shown = assets.expert(assets.EXPERT_DEMONSTRATIONS)
+    for given in ("expert", str(shown)):
+        assert not list(training.other_expert(config.Config().changed(train={"demonstrations": given})))
+
+
+@pytest.mark.parametrize("driver", ["expert", "rail:sampled", "rule"])
+def test_a_recording_tells_whose_it_is_and_by_which_weights(driver, tmp_path):
+    world = config_file.load(None, ["episode.duration_s=5"])
+    run.demonstrate(driver, world, tmp_path / "its.parquet", episodes=1, seed=0)
+    name, content = recorded_by(tmp_path / "its.parquet")
+    assert (name, content) == (driver, roster.content_of(driver, world))
+    assert (content == EXPERTS_SHA256) == (driver == "expert")
+    assert bool(content) == (driver != "rule")
+
+
+def test_a_driver_is_recorded_with_its_own_senses_where_no_others_are_configured(tmp_path):
+    world, notes = config_file.load(None, ["episode.duration_s=5"]), Notes()
+    run.demonstrate("road-expert", world, tmp_path / "road.parquet", episodes=1, seed=0, observer=notes)
+    keys = ["observation.host_speed=true", "observation.speed_limit=true"]
+    said = "the demonstrations have the senses of 'road-expert'; to learn from them, set"
+    assert notes.told == [f"{said} {' '.join(keys)}"]
+    as_told = config_file.load(
+        None, [*keys, f"train.demonstrations={tmp_path / 'road.parquet'}", "train.trajectories=1"]
+    )
+    assert training.demonstrations_of(as_told).observations.shape == (5, 50)
+    recorded = run.record(
+        roster.find_driver("road-expert", as_told), as_told.changed(episode={"duration_s": 5.0}), episodes=1, seed=0
+    )
+    np.testing.assert_array_equal(training.demonstrations_of(as_told).observations, recorded.observations)
+
+
+def test_a_driver_is_not_recorded_with_other_senses_than_its_own(tmp_path):
+    other = config_file.load(None, ["lidar.n_rays=12", "observation.host_speed=true"])
+    keys = r"lidar\.n_rays=24 observation\.speed_limit=true"
+    with pytest.raises(
+        InputError, match=rf"^driver 'road-expert' was trained with lidar\.n_rays = 24, not 12; set {keys}, or train"
+    ):
+        run.demonstrate("road-expert", other, tmp_path / "other.parquet", episodes=1, seed=0)
 
 
 def test_a_run_that_is_not_done_says_so(small, driven, tmp_path):
@@ -842,6 +907,8 @@ def test_in_python_drivers_go_by_their_names_too(small):
 
 
 OWN_LEARNERS = """
+from dataclasses import replace
+
 from rail_sumo.learners import Iteration, Learner, memory_of
 
 def gives_up(practice, checkpoint, demonstrations):
@@ -850,7 +917,16 @@ def gives_up(practice, checkpoint, demonstrations):
 def says_something_else(practice, checkpoint, demonstrations):
     yield {"learned": checkpoint.learned}
 
-GIVES_UP, SAYS_SOMETHING_ELSE = (Learner(one, iterations=2, samples=False) for one in (gives_up, says_something_else))
+def with_theta(change):
+    def iterate(practice, checkpoint, demonstrations):
+        start = checkpoint.learned
+        yield Iteration(replace(start, theta=change(start.theta)), {}, practice.drive([start], 1), {})
+    return iterate
+
+TOO_SHORT, NOT_FINITE = with_theta(lambda theta: theta[:-1]), with_theta(lambda theta: theta / 0.0)
+GIVES_UP, SAYS_SOMETHING_ELSE, TOO_SHORT, NOT_FINITE = (
+    Learner(one, iterations=2, samples=False) for one in (gives_up, says_something_else, TOO_SHORT, NOT_FINITE)
+)
 """
 
 
@@ -864,6 +940,36 @@ def test_a_learner_that_gives_up_or_says_something_else_is_told(small, driven, t
     other = small.changed(train={"learner": "own_learners:SAYS_SOMETHING_ELSE"})
     with pytest.raises(InputError, match=r"^learner '.*:SAYS_SOMETHING_ELSE' yields a dict; it has to yield an `Iter"):
         training.learn(other, tmp_path / "other", seed=1)
+
+
+@pytest.mark.filterwarnings("ignore:divide by zero")
+@pytest.mark.parametrize(
+    ("name", "why"),
+    [
+        ("TOO_SHORT", r"theta must have shape \(47,\) for Shape\(.*\); got \(46,\)"),
+        ("NOT_FINITE", r"theta must be finite; 47 of 47 values are not"),
+    ],
+)
+def test_what_a_learner_yields_that_cannot_drive_is_refused_at_once(small, driven, tmp_path, monkeypatch, name, why):
+    (tmp_path / "own_learners.py").write_text(OWN_LEARNERS)
+    monkeypatch.syspath_prepend(tmp_path)
+    world = small.changed(train={"learner": f"own_learners:{name}"})
+    with pytest.raises(
+        InputError, match=rf"^what learner 'own_learners:{name}' yields in iteration 1 cannot drive: {why}$"
+    ):
+        training.learn(world, tmp_path / "run", seed=1)
+    assert RunDirectory(tmp_path / "run").checkpoint().iteration == 0
+
+
+def test_a_policy_whose_parameters_are_not_finite_is_not_loaded(trained, small):
+    path = trained / POLICY
+    with safe_open(path, framework="numpy") as file:
+        about = json.loads(file.metadata()["rail_sumo"])
+    about.pop("sha256")  # as in a file of an earlier version
+    tensors = load_file(path)
+    save_file(tensors | {"theta": np.full_like(tensors["theta"], np.nan)}, path, {"rail_sumo": json.dumps(about)})
+    with pytest.raises(InputError, match=r"damaged \(ValueError: theta must be finite; 47 of 47 values are not\)"):
+        roster.find_driver(str(trained), small)
 
 
 def test_an_expert_that_is_not_the_shipped_one_is_told():

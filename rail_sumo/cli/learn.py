@@ -95,10 +95,15 @@ def record(
     workers: Workers = "",
     overwrite: Overwrite = False,
 ) -> None:
-    """Record what a driver sees and carries out, for `train.demonstrations` to learn from."""
-    from rail_sumo import run
+    """Record what a driver sees and carries out, for `train.demonstrations` to learn from.
 
-    world = config_file.load(config_path, overrides_of(network, routes, overrides))
+    It sees with the senses that it was trained with, unless others are configured.
+    """
+    from rail_sumo import roster, run
+
+    changes = overrides_of(network, routes, overrides)
+    world = config_file.load(config_path, changes)
+    roster.require_senses_heeded([driver], world, changes)
     n_workers = workers_of(workers)
     with progress_bars() as observer:
         demonstrations = run.demonstrate(

@@ -47,7 +47,7 @@ def plot(
     against: Annotated[Literal["steps", "time"], typer.Option(help="What runs from left to right.")] = "steps",
     overwrite: Overwrite = False,
 ) -> None:
-    """Draw how training went; runs that differ by the number at the end of their names become one curve with a band."""
+    """Draw how training went; runs that differ by the number in their names and their seed alone become one curve."""
     from rail_sumo.pictures import plot
 
     plot.save(plot.learning_curves(runs, against), out, overwrite=overwrite)

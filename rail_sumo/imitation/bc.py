@@ -6,7 +6,7 @@ from torch.nn import functional
 
 from rail_sumo import config
 from rail_sumo.imitation.demonstrations import Demonstrations
-from rail_sumo.imitation.perceptron import flatten, linear, perceptron, single_threaded
+from rail_sumo.imitation.perceptron import flatten, kept_in_bounds, linear, perceptron, single_threaded
 from rail_sumo.policy import N_ACTIONS, Shape, Whitening
 from rail_sumo.records import Floats
 
@@ -39,6 +39,7 @@ def clone(
 
     Raises:
         ValueError: the demonstrations' observations do not fit the shape.
+        InputError: the weights do not stay finite.
     """
     if demonstrations.observations.shape[1] != shape.n_features:
         raise ValueError(
@@ -53,12 +54,13 @@ def clone(
     observations = torch.from_numpy(whitening(demonstrations.observations).astype(np.float32))
     actions = torch.from_numpy(demonstrations.actions)
     forbidden = torch.from_numpy(~demonstrations.allowed if masked else np.zeros_like(demonstrations.allowed))
-    for _ in range(cloning.epochs):
-        order = torch.from_numpy(rng.permutation(len(actions)))
-        for batch in order.split(cloning.batch_size):
-            outputs = network(observations[batch]).masked_fill(forbidden[batch], -torch.inf)
-            loss = functional.cross_entropy(outputs, actions[batch])
-            adam.zero_grad()
-            loss.backward()
-            adam.step()
+    with kept_in_bounds(network, "cloning.learning_rate"):
+        for _ in range(cloning.epochs):
+            order = torch.from_numpy(rng.permutation(len(actions)))
+            for batch in order.split(cloning.batch_size):
+                outputs = network(observations[batch]).masked_fill(forbidden[batch], -torch.inf)
+                loss = functional.cross_entropy(outputs, actions[batch])
+                adam.zero_grad()
+                loss.backward()
+                adam.step()
     return flatten(linear(network))

@@ -5,6 +5,7 @@ import tomllib
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pyarrow as pa
@@ -24,6 +25,9 @@ ALLOWED = tuple(f"allowed_{action.name.lower()}" for action in MetaAction)
 
 METADATA_KEY = b"rail_sumo"
 """The file's metadata under this key is JSON: `features`, their names in order, and `about`, what they came from."""
+
+DRIVER_SHA256 = "driver_sha256"
+"""The key, in `about`, of the SHA-256 of the recorded driver's weights or module; see `roster.content_of`."""
 
 _AGAIN = "record them again with: rail-sumo expert record"
 
@@ -207,12 +211,32 @@ def recorded_on(path: Path) -> tuple[str, ...]:
     Raises:
         InputError: it tells so in a way that cannot be read.
     """
-    said = (pq.read_schema(path).metadata or {}).get(METADATA_KEY)
     try:
-        tree = tomllib.loads(json.loads(said or "{}").get("about", {}).get("config", ""))
+        tree = tomllib.loads(_about(path).get("config", ""))
         return tuple(tree.get("varied", {}).get("networks") or filter(None, [tree.get("network", {}).get("file")]))
     except (ValueError, AttributeError, TypeError) as error:
         raise InputError(f"{_named(path)} tell of their recording what cannot be read ({error}); {_AGAIN}") from None
+
+
+def recorded_by(path: Path) -> tuple[str, str]:
+    """Return the name of the driver that a file tells it was recorded of, and the SHA-256 of what that driver is.
+
+    Either is empty where the file does not tell it: somebody else's tells neither, one from before the SHA-256 was
+    recorded the name alone, and our own drivers that have not learned have no SHA-256.
+
+    Raises:
+        InputError: it tells so in a way that cannot be read.
+    """
+    try:
+        about = _about(path)
+        return str(about.get("driver", "")), str(about.get(DRIVER_SHA256, ""))
+    except (ValueError, AttributeError, TypeError) as error:
+        raise InputError(f"{_named(path)} tell of their recording what cannot be read ({error}); {_AGAIN}") from None
+
+
+def _about(path: Path) -> Mapping[str, Any]:
+    said = (pq.read_schema(path).metadata or {}).get(METADATA_KEY)
+    return json.loads(said or "{}").get("about", {})
 
 
 def _named(path: Path) -> str:

@@ -23,7 +23,15 @@ from rail_sumo import config
 from rail_sumo.errors import InputError
 from rail_sumo.imitation.demonstrations import Demonstrations
 from rail_sumo.imitation.discriminator import Fit
-from rail_sumo.imitation.perceptron import actor, flatten, load_training_state, seeded, single_threaded, training_state
+from rail_sumo.imitation.perceptron import (
+    actor,
+    flatten,
+    kept_in_bounds,
+    load_training_state,
+    seeded,
+    single_threaded,
+    training_state,
+)
 from rail_sumo.policy import N_ACTIONS, Shape, Whitening, unflatten
 from rail_sumo.records import Floats, Trajectory
 
@@ -159,7 +167,7 @@ class Ppo:
             rng: orders the minibatches.
 
         Raises:
-            InputError: none of the rollouts tells anything.
+            InputError: none of the rollouts tells anything, or the weights do not stay finite.
         """
         parts = [self._valued(trajectory, rewards) for trajectory in driven]
         columns = [np.concatenate(column) for column in zip(*parts, strict=True)]
@@ -183,7 +191,7 @@ class Ppo:
         # The stream ends with a rollout's end: nothing follows that has not been added to its last reward.
         buffer.compute_returns_and_advantage(torch.zeros(1), dones=np.ones(1))
         self._ppo.rollout_buffer = buffer
-        with seeded(rng):
+        with kept_in_bounds(self._ppo.policy, "gail.learning_rate"), seeded(rng):
             self._ppo.train()
 
     def state(self) -> dict[str, NDArray[Any]]:

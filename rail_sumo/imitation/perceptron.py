@@ -11,7 +11,11 @@ import torch
 from numpy.typing import NDArray
 from torch import nn
 
+from rail_sumo.errors import InputError
 from rail_sumo.records import Floats
+
+LARGEST = 1e9
+"""A weight beyond this is of no use: with it float32 soon overflows."""
 
 
 def perceptron(sizes: Sequence[int], rng: np.random.Generator) -> nn.Sequential:
@@ -67,6 +71,32 @@ def load_training_state(network: nn.Module, adam: torch.optim.Optimizer, state: 
         adam.state[parameter] = {
             key.removeprefix(prefix): torch.tensor(value) for key, value in state.items() if key.startswith(prefix)
         }
+
+
+@contextmanager
+def kept_in_bounds(network: nn.Module, key: str) -> Iterator[None]:
+    """Refuse a training that ends, or fails, with weights that are not finite or beyond `LARGEST`.
+
+    Args:
+        network: what is trained.
+        key: of its learning rate in the configuration.
+
+    Raises:
+        InputError: the weights are so.
+    """
+    try:
+        yield
+    except ValueError:  # torch's, of probabilities that are not finite
+        _require_in_bounds(network, key)
+        raise
+    _require_in_bounds(network, key)
+
+
+def _require_in_bounds(network: nn.Module, key: str) -> None:
+    if not all((parameter.abs() <= LARGEST).all() for parameter in network.parameters()):
+        raise InputError(
+            f"training diverged: weights of the network are not finite, or beyond {LARGEST:g}; set a smaller {key}"
+        ) from None
 
 
 @contextmanager

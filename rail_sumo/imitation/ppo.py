@@ -16,7 +16,7 @@ from rail_sumo.errors import InputError
 from rail_sumo.highway.env import HighwayEnv
 from rail_sumo.highway.observation import feature_names
 from rail_sumo.imitation.demonstrations import Demonstrations
-from rail_sumo.imitation.perceptron import actor, generators_put_back, single_threaded
+from rail_sumo.imitation.perceptron import actor, generators_put_back, kept_in_bounds, single_threaded
 from rail_sumo.records import Floats
 
 ATTEMPTS = 10
@@ -111,6 +111,9 @@ def train(
 
     Returns:
         (weights, biases) of each layer from input to output, for `drivers.Expert`.
+
+    Raises:
+        InputError: the weights do not stay finite.
     """
     expert = config.expert
     world = config.practice(expert.horizon_s)
@@ -134,7 +137,8 @@ def train(
         if first is not None:
             _clone(model, first, scale, seed)
         progress = _Progress(observer, expert.critic_first)
-        model.learn(expert.updates * expert.decisions_per_update, callback=progress)
+        with kept_in_bounds(model.policy, "expert.learning_rate"):
+            model.learn(expert.updates * expert.decisions_per_update, callback=progress)
     finally:
         env.close()
     return _layers(model, scale)

@@ -45,9 +45,10 @@ def learning_curves(runs: Sequence[Path], against: Against = "steps") -> "Figure
     """Draw how training went, over the rollouts that it went by, in training traffic: those of perturbed policies for
     a random search, of one that draws its actions for GAIL.
 
-    Runs in one folder whose names differ in a number at their end alone (`mine-seed0`, `mine-seed1`), with a seed of
-    its own each, are one curve: their mean, with the 95 % confidence band of the mean (Student's t) and each run as a
-    thin line. Runs without an iteration, such as clones, are left out.
+    Runs in one folder whose names differ in a number at their end alone (`mine-seed0`, `mine-seed1`), of one
+    configuration and with a seed of its own each, are one curve: their mean, with the 95 % confidence band of the mean
+    (Student's t) and each run as a thin line. Others have a curve each. Runs without an iteration, such as clones, are
+    left out.
 
     Args:
         runs: run directories.
@@ -159,14 +160,15 @@ def group_of(run: Path) -> Path:
 
 
 def _grouped(runs: Iterable[Path]) -> dict[Path, list[Path]]:
-    """Return the runs that become one curve; of one seed they are no trainings independent of one another."""
+    """Return the runs that become one curve: by their names, if they differ by their seed and nothing else."""
     groups: dict[Path, list[Path]] = {}
     for path, run in {run.resolve(): run for run in runs}.items():
         groups.setdefault(group_of(path), []).append(run)
     curves: dict[Path, list[Path]] = {}
     for at, of_group in groups.items():
-        seeds = {RunDirectory(run).seed for run in of_group}
-        curves |= {at: of_group} if len(seeds) == len(of_group) else {run: [run] for run in of_group}
+        pairs = itertools.combinations(map(RunDirectory, of_group), 2)
+        is_one = all(one.differs_by_seed_alone(other) for one, other in pairs)
+        curves |= {at: of_group} if is_one else {run: [run] for run in of_group}
     return curves
 
 

@@ -132,13 +132,8 @@ class Experiment:
 
     @property
     def notes(self) -> tuple[str, ...]:
-        """That the demonstrations may not be of the expert that everything is compared with."""
-        if self.config.train.demonstrations == "expert":
-            return ()
-        return (
-            "ratios and 'told apart' are to the expert that train.expert names; if another made the demonstrations, "
-            "compare learners with that one by: rail-sumo eval RUN... DRIVER --reference DRIVER",
-        )
+        """That the demonstrations are, or may be, of another driver than the expert that all is compared with."""
+        return tuple(training.other_expert(self.config, "ratios and 'told apart' are to"))
 
     def drive(self, grid: Iterable[tuple[str, int]]) -> pd.DataFrame:
         """Bring a cell for every seed and every (system, trajectories) to its end; write `cells` into `out`.

@@ -275,7 +275,7 @@ def _markdown(table: pd.DataFrame, n_episodes: int, more: Sequence[str]) -> str:
         lines.append(
             _line(SYSTEMS[system].label + (f" ({mode}{trained})" if mode else ""), [*means, apart, str(contacts)])
         )
-        ratios = [with_interval(*row) for row in by_metric[["ratio", "ratio_low", "ratio_high"]].to_numpy()]
+        ratios = [ratio_with_interval(*row) for row in by_metric[["ratio", "ratio_low", "ratio_high"]].to_numpy()]
         if system != report.EXPERT:
             lines.append(_line("&emsp;of the expert's", [*ratios, "", "", ""]))
         if by_metric["paper"].notna().any() and rows["as_trained"].all():
@@ -302,7 +302,8 @@ def _notes(table: pd.DataFrame, n_episodes: int) -> list[str]:
     papers = " The paper's are means of 16 episodes." if table["paper"].notna().any() else ""
     notes = [_NOTE.format(trainings=trainings, n_episodes=n_episodes) + papers]
     if 0 < fewest < report.FEW:
-        notes += ["", f"**Fewer than {report.FEW} trainings**: the intervals are right but very wide."]
+        wide = "the intervals are right but very wide, and of told apart may reach below 0 or above 1, as no figure can"
+        notes += ["", f"**Fewer than {report.FEW} trainings**: {wide}."]
     return notes
 
 
@@ -316,3 +317,8 @@ def with_interval(value: float, low: float, high: float, decimals: int = 3) -> s
         return ""
     interval = f" ({low:.{decimals}f} to {high:.{decimals}f})" if low < high else ""
     return f"{value:.{decimals}f}{interval}"
+
+
+def ratio_with_interval(value: float, low: float, high: float) -> str:
+    """Return a ratio as tables show it; an interval without 1 in it does not look as if it ended there."""
+    return with_interval(value, low, high, report.ratio_decimals(low, high, 3))

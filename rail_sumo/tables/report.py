@@ -156,7 +156,8 @@ NAME_WIDTH = 14
 def table(summary: pd.DataFrame, *, width: int = WIDE) -> Table:
     """Return the table for the terminal, a row per policy: means ± half the 95 % interval; dimmed below, ratios.
 
-    Of a ratio the interval is shown, which need not lie evenly around it; itself where there are no intervals.
+    Of a ratio the interval is shown, which need not lie evenly around it; itself where there are no intervals. An
+    interval without 1 in it never looks as if it ended there; see `ratio_decimals`.
 
     The last column counts the contacts, in which the host hit anything or was hit; either ends an episode. The rest is
     in the files.
@@ -172,6 +173,18 @@ def table(summary: pd.DataFrame, *, width: int = WIDE) -> Table:
         if width_of(shown, summary["policy"]) <= width:
             break
     return shown
+
+
+def ratio_decimals(low: float, high: float, least: int) -> int:
+    """Return how many decimals the ends of a ratio's interval are shown with.
+
+    That is `least`, or the fewest more at which an interval without 1 in it does not look as if it ended there. NaN is
+    no interval.
+    """
+    if low <= 1.0 <= high:
+        return least
+    enough = (n for n in range(least, DECIMALS) if f"{1:.{n}f}" not in (f"{low:.{n}f}", f"{high:.{n}f}"))
+    return next(enough, DECIMALS)
 
 
 def width_of(shown: Table, names: Iterable[str]) -> int:
@@ -212,7 +225,8 @@ def _table(summary: pd.DataFrame, told: dict[str, tuple[str, int]], *, has_inter
                 ratio = f"{row['ratio']:.2f}"
                 if has_intervals and n > 1:  # where the reference's mean may be 0 a ratio has none
                     low, high = row["ratio_low"], row["ratio_high"]
-                    ratio = f"{low:.2f}\N{EN DASH}{high:.2f}" if np.isfinite(high) else "no interval"
+                    places = ratio_decimals(low, high, 2)
+                    ratio = f"{low:.{places}f}\N{EN DASH}{high:.{places}f}" if np.isfinite(high) else "no interval"
                 cell += f"\n[dim]{ratio}[/]"
             cells.append(cell)
         cells += [f"{by_metric.loc[(policy, metric), 'mean']:.{decimals}f}" for metric, decimals in told.values()]
@@ -249,7 +263,7 @@ def cut_short(episodes: pd.DataFrame) -> list[str]:
 
 
 def alike(episodes: pd.DataFrame) -> list[str]:
-    """Return a line that says so where all policies, or three, drove every episode at the same speed to within `ALIKE`.
+    """Return a line that says so where all policies, or three, were in each episode as fast as each other, to `ALIKE`.
 
     Args:
         episodes: the `episodes` table.
@@ -262,10 +276,10 @@ def alike(episodes: pd.DataFrame) -> list[str]:
     most = max((group for group in groups if _are_close(speeds[group])), key=len, default=[])
     if len(most) < min(len(policies), FEWEST_ALIKE):
         return []
-    who = "all" if len(most) == len(policies) else ", ".join(most)
+    who = "all of them" if len(most) == len(policies) else ", ".join(most)
     return [
-        f"{who} drive every episode at the same speed, to within {100 * ALIKE:g} %: the road or the host's own vehicle "
-        f"may leave no choice, see rail-sumo network check"
+        f"in each episode {who} are as fast as each other, to within {100 * ALIKE:g} %: one may have learned from "
+        "another, or the road or the host's own vehicle leave no choice, see rail-sumo network check"
     ]
 
 
