@@ -273,6 +273,9 @@ def test_a_sumocfg_brings_its_network_demand_and_options_and_what_is_ours_is_tol
     told = "my: road of 8,200 m with 3 lanes\nedges: highway\nlimit: 80 km/h\nhost of the first episode: 'follow."
     assert (code, err) == (0, note)
     assert out.startswith(told)
+    as_ours = (tmp_path / "a" / "my.sumocfg").read_text().replace('step-length v="1"', 'step-length v="0.10"')
+    (tmp_path / "a" / "my.sumocfg").write_text(as_ours)
+    assert "step-length" not in rail_sumo("config", "--network", "a/my.sumocfg")[2]
     others = ("--routes", "highway3", "--set", "traffic.begin_s=9")
     assert 'routes = [\n    "highway3",\n]' in rail_sumo("config", "--network", "a/my.sumocfg", *others)[1]
     assert "begin_s = 9.0" in rail_sumo("config", "--network", "a/my.sumocfg", *others)[1]

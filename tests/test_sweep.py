@@ -210,6 +210,17 @@ def test_a_road_that_fills_up_in_the_period_is_told_of_whoever_drives(unfinished
         )
 
 
+def test_a_run_that_breaks_down_where_others_do_not_is_told_of():
+    def runs(*speeds_kmh, share=0.3):
+        about = {"vehicles": "all", "setting": "", "driver": "rule", "share": share}
+        return [about | {"seed": seed, "speed_kmh": speed} for seed, speed in enumerate(speeds_kmh)]
+
+    [note] = cautions.breakdowns(pd.DataFrame([*runs(40.0, 41.0, 10.1, 40.5), *runs(38.0, 39.0, 40.0, share=1.0)]))
+    assert "some seeds (traffic.csv): rule at 30% seed 2 at 10 km/h, the others at 40: means" in note
+    assert not list(cautions.breakdowns(pd.DataFrame(runs(40.0, 41.0, 21.0))))
+    assert not list(cautions.breakdowns(pd.DataFrame(runs(40.0, 10.0))))  # which of two?
+
+
 def test_a_road_that_locks_with_some_seeds_is_told_of():
     about = {"vehicles": "all", "setting": "", "teleports": 0}
     table = pd.DataFrame([
@@ -380,13 +391,17 @@ def test_what_makes_figures_doubtful_is_kept_beside_them(world, tmp_path, figure
     hears = Hears()
     world = world.changed(traffic={"lorries": 0.5})
     swept = small(world, tmp_path / "out", drivers=("acc",), shares=(1.0,), seeds=1, duration_s=190.0, observer=hears)
+    swept = replace(swept, known=("told already",))
     notes = (
         "traffic.lorries: of made traffic",
         "the last vehicle departs at 200 s, before the period ends at ",
         "the road fills up in the period, by vehicles in the mean over seeds: acc at 100% from",
     )
     tables = swept.drive()
-    for told, begins in zip(tables.notes, notes, strict=True):
+    assert tables.notes[0] == "told already"
+    assert "told already" not in hears.said
+    assert "Note: told already." in (tmp_path / "out" / "sweep.md").read_text()
+    for told, begins in zip(tables.notes[1:], notes, strict=True):
         assert told.startswith(begins)
         assert told in hears.said
         assert f"{told}." in (tmp_path / "out" / "sweep.md").read_text()

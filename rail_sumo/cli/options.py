@@ -4,6 +4,7 @@ import json
 import os
 import shlex
 import sys
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
@@ -49,9 +50,7 @@ def overrides_of(network: str | None, routes: list[str] | None, overrides: list[
         world, left_out = sumocfg.read(Path(network))
         sumocfg.require_files(Path(network), {key: value for key, value in world.items() if key not in own})
         if left_out:
-            options = ", ".join(option if "/" in value else f"{option} {value}" for option, value in left_out.items())
-            steps = f"; steps take {SECONDS_PER_STEP:g} s" if "step-length" in left_out else ""
-            tell(f"does not use these options of '{network}', and sets them itself: {options}{steps}")
+            tell(_unused(network, left_out))
         if {"traffic.routes", "traffic.additional"}.isdisjoint(own | world.keys()):
             tell(f"'{network}' names no route-files: traffic is made around the host")
     elif network:
@@ -62,6 +61,22 @@ def overrides_of(network: str | None, routes: list[str] | None, overrides: list[
         world["varied.networks"] = []  # it is this one
     # Values in JSON are values in TOML, but for escapes beyond 16 bits.
     return [*(f"{key}={json.dumps(value, ensure_ascii=False)}" for key, value in world.items()), *(overrides or ())]
+
+
+def unused_of(network: str | None) -> tuple[str, ...]:
+    """Return what to know of a configuration of SUMO's: its options that are not used, if there are any."""
+    if not network or not is_configuration(Path(network)):
+        return ()
+    from rail_sumo.highway.network import sumocfg  # SUMO takes half a second to import
+
+    left_out = sumocfg.read(Path(network))[1]
+    return (_unused(network, left_out),) if left_out else ()
+
+
+def _unused(network: str, left_out: Mapping[str, str]) -> str:
+    options = ", ".join(option if "/" in value else f"{option} {value}" for option, value in left_out.items())
+    steps = f"; steps take {SECONDS_PER_STEP:g} s" if "step-length" in left_out else ""
+    return f"does not use these options of '{network}', and sets them itself: {options}{steps}"
 
 
 def tell(what: str) -> None:

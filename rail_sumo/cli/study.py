@@ -18,6 +18,7 @@ from rail_sumo.cli.options import (
     Routes,
     overrides_of,
     typed,
+    unused_of,
     workers_of,
 )
 from rail_sumo.cli.progress import progress_bars
@@ -128,6 +129,7 @@ def sweep(
         workers=n_workers,
         command=typed(),
         road=network or "",
+        known=unused_of(network),
     )
     try:
         with progress_bars() as bars:

@@ -80,6 +80,8 @@ class Sweep:
     """What was typed; it is kept beside the tables."""
     road: str = ""
     """What `sweep.md` calls the road, such as the `.sumocfg` that the configuration is of; else its network's file."""
+    known: tuple[str, ...] = ()
+    """What to know of the configuration, told already; it is kept among the notes."""
 
     def drive(self) -> "Tables":
         """Bring every run to its end; write the tables, `sweep.md` and a figure for each measure into `out`.
@@ -101,6 +103,7 @@ class Sweep:
         notes += self._early_ends(warm_up_s)
         for note in notes:
             self.observer.note(note)
+        notes = [*self.known, *notes]
         work = [replace(one, warm_up_s=warm_up_s) for one in planned]
         for one in work:
             one.require_same_study()

@@ -10,6 +10,8 @@ MOST_TOLD = 4
 """A note names so many groups of runs at most."""
 GROWN, GROWN_BY = 10.0, 0.2
 """A road fills up where there are so many vehicles more at the end of the period, and by this share of those before."""
+BROKEN_DOWN = 0.5
+"""A run has broken down if its mean speed is less than this share of the median of its other seeds'."""
 FEWER, AT_LEAST = 0.5, 20
 """Traffic has gone from an edge where less than this share of the vehicles is left, if there were so many."""
 
@@ -24,6 +26,7 @@ def of_runs(table: pd.DataFrame, edges: pd.DataFrame) -> Iterator[str]:
     yield from backlog(table)
     yield from growth(table)
     yield from locks(table)
+    yield from breakdowns(table)
     yield from emptied(edges)
 
 
@@ -65,6 +68,22 @@ def locks(table: pd.DataFrame) -> Iterator[str]:
         yield (
             f"SUMO took vehicles off the road that had stood too long (column teleports), with the seeds "
             f"{_listed(told)}: the road may be locked there, and means are of unlike runs"
+        )
+
+
+def breakdowns(table: pd.DataFrame) -> Iterator[str]:
+    """Tell which runs broke down where others of the same driver and share did not: a mean describes neither."""
+    told = []
+    for arm, of_arm in shares.of_all_vehicles(table).groupby(shares.ARM, sort=False):
+        speeds = of_arm.set_index("seed")["speed_kmh"].dropna()
+        for seed, speed in speeds.items() if len(speeds) > 2 else ():
+            others = speeds.drop(seed).median()
+            if speed < BROKEN_DOWN * others:
+                told.append(f"{shares.called(*arm)} seed {seed} at {speed:.0f} km/h, the others at {others:.0f}")
+    if told:
+        yield (
+            f"traffic breaks down with some seeds (traffic.csv): {_listed(told)}: means and intervals are of unlike "
+            "runs; tell how many broke down"
         )
 
 

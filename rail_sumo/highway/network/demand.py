@@ -114,6 +114,14 @@ def warnings(demand: Demand, traffic: config.Traffic) -> Iterator[str]:
                 f"vehicle type '{kind}' is {length_m:g} m long and has no vClass: it counts, and may be driven, as a "
                 f'car; if it is none, give it one, such as vClass="truck"'
             )
+    for path in demand.files:
+        closed = demand_file.read(path).closed_lanes
+        if closed:
+            yield (
+                f"'{path}' closes lanes for a time (closingLaneReroute): {', '.join(closed)}, "
+                f"which driven cars do not see: they would stand before it; close it in the network, by "
+                f'disallow="all", for all of the time'
+            )
     for given in demand.routes:
         for path in _with_included(given):
             misplaced = demand_file.read(path).misplaced

@@ -69,6 +69,8 @@ class DemandFile:
     """Lengths of types without a class that are longer than a car, by their ids."""
     kinds: set[str] = field(default_factory=set)
     """Ids of the types that vehicles are of."""
+    closed_lanes: list[str] = field(default_factory=list)
+    """Ids of lanes that rerouters close for a time."""
     may_have_more: bool = False
     """Whether SUMO may make vehicles for it with other ids than these, or more of them than it says."""
     too_dense: str = ""
@@ -101,6 +103,8 @@ class DemandFile:
                 length_m = float(element.get("length", "0"))
                 if "vClass" not in element.attrib and length_m > LONGEST_CAR_M:
                     self.long_cars[name] = length_m
+        if tag == "closingLaneReroute":
+            self.closed_lanes.append(name)
         if tag == "include":
             self.includes.append(element.get("href", ""))
         self.outputs += filter(None, map(element.get, OUTPUTS))

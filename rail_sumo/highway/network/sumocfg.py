@@ -16,6 +16,7 @@ from rail_sumo.config import Traffic
 from rail_sumo.errors import InputError
 from rail_sumo.highway import sumo_process
 from rail_sumo.highway.network.sumo_xml import UNREADABLE, elements, seconds
+from rail_sumo.records import SECONDS_PER_STEP
 
 INPUT_FILES = (
     *("net-file", "route-files", "additional-files", "weight-files", "load-state", "phemlight-path"),
@@ -70,7 +71,16 @@ def read(path: Path) -> tuple[dict[str, Any], dict[str, str]]:
     passed_on = {option: value for option, value in options.items() if option not in left_out}
     if passed_on:
         keys["traffic.options"] = [f"{option}={value}" for option, value in passed_on.items()]
-    return keys, {option: options[option] for option in left_out if topic_of[option] not in UNTOLD_TOPICS}
+    told = (option for option in left_out if topic_of[option] not in UNTOLD_TOPICS)
+    return keys, {option: options[option] for option in told if not _is_as_ours(option, options[option])}
+
+
+def _is_as_ours(option: str, value: str) -> bool:
+    """Whether an option that is left out says what is done all the same."""
+    try:
+        return option == "step-length" and seconds(value) == SECONDS_PER_STEP
+    except ValueError:
+        return False
 
 
 def require_files(path: Path, keys: Mapping[str, Any]) -> None:
