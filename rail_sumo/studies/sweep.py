@@ -342,7 +342,9 @@ def _caption(sweep: Sweep, tables: Tables, where: str) -> str:
     seeds = f"{sweep.seeds} seeds" if sweep.seeds > 1 else "one seed: no interval"
     undriven = tables.traffic.loc[tables.traffic["vehicles"] == traffic.DRIVEN, "undriven"].max()
     left = (
-        f" Up to {undriven} cars of a run's share are left to SUMO, on routes too short for a host." if undriven else ""
+        f" Up to {undriven} cars of a run's share are left to SUMO, on routes that a host cannot drive."
+        if undriven
+        else ""
     )
     few = f" Fewer than {report.FEW} seeds: intervals are very wide." if 1 < sweep.seeds < report.FEW else ""
     return (
