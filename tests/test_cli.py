@@ -281,6 +281,27 @@ def test_a_sumocfg_brings_its_network_demand_and_options_and_what_is_ours_is_tol
     assert "begin_s = 9.0" in rail_sumo("config", "--network", "a/my.sumocfg", *others)[1]
 
 
+def test_what_an_evaluation_tells_is_kept_beside_its_tables(rail_sumo, tmp_path):
+    path = tmp_path / "one.rou.xml"
+    cars = "".join(f'<vehicle id="v{at}" type="slow" depart="{at}" route="on"/>' for at in (50, 40))
+    slow = '<vType id="slow" maxSpeed="5"/><route id="on" edges="highway"/>'
+    path.write_text(f"<routes>{slow}{cars}</routes>")
+    (tmp_path / "one.net.xml").write_bytes(assets.network("highway3").read_bytes())
+    options = '<n v="one.net.xml"/><r v="one.rou.xml"/><step-length v="1"/>'
+    (tmp_path / "one.sumocfg").write_text(f"<configuration>{options}</configuration>")
+    arguments = ("--network", "one.sumocfg", "--episodes", "2", "--set", "episode.duration_s=5", "--out", "out")
+    code, out, err = rail_sumo("eval", "keep", "rule", *arguments)
+    assert code == 0
+    unused, *notes = json.loads((tmp_path / "out" / "evaluation.json").read_text())["notes"]
+    assert unused.startswith("rail-sumo does not use these options of 'one.sumocfg', and sets them itself: step-length 1")
+    assert unused.endswith("steps take 0.1 s; traffic here may differ from that of your own runs with them")
+    assert "demand 'one.rou.xml' is not in order of departure: 'v40' may enter late or never" in notes[0]
+    assert notes[1].startswith("every episode drives the same car")
+    assert notes[2:] == report.alike(pd.read_parquet(tmp_path / "out" / "episodes.parquet")) != []
+    assert all(note in err + out for note in notes)
+    assert not any("done" in note for note in notes)  # how far it is
+
+
 def test_a_file_that_a_sumocfg_names_and_is_not_there_is_told_with_it_unless_another_is_given(rail_sumo, tmp_path):
     (tmp_path / "a").mkdir()
     network = assets.network("highway3")

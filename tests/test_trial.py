@@ -42,6 +42,17 @@ def test_the_check_tells_of_a_demand_out_of_order(tmp_path):
     assert "is not in order of departure: 'v40' may enter late" in told
 
 
+def test_a_check_that_fails_tells_what_is_wrong_with_the_demand(tmp_path):
+    path = tmp_path / "typo.rou.xml"
+    flows = "".join(
+        f'<flow id="{name}" {begin} end="9600" vehsPerHour="600"><route edges="highway"/></flow>'
+        for name, begin in (("late", 'begin="9000"'), ("typo", 'beginn="9100"'))
+    )
+    path.write_text(f"<routes>{flows}</routes>")
+    with pytest.raises(InputError, match=r"on the road at 60 s; .*; also, demand .* is not in order of departure: 'typo' may"):
+        trial.check(world(traffic={"routes": (str(path),)}))
+
+
 def test_signals_limits_and_lanes_that_end_are_told(soon_narrow):
     signals = str(Path(__file__).with_name("two_signals.net.xml"))
     assert trial.check(world(network={"file": signals}, traffic=EMPTY)).n_signals == 2

@@ -26,6 +26,7 @@ from rail_sumo.cli.options import (
     require_page,
     tell,
     typed,
+    unused_of,
     workers_of,
 )
 from rail_sumo.cli.progress import progress_bars, show
@@ -71,15 +72,18 @@ def evaluate(
     The world is that of --config, of the first run directory among the policies, or the default; options change it.
     """
     from rail_sumo import replay, roster, run
+    from rail_sumo.tables import report
 
     _require_place(out, {"--fcd": (FCD, fcd), "--replay": (REPLAYS, bool(replays))}, overwrite=overwrite)
     n_workers = workers_of(workers)
-    world, who = _found(policies, overrides_of(network, routes, overrides), config_path)
+    world, who, doubts = _found(policies, overrides_of(network, routes, overrides), config_path)
 
     def keep(tables: "Tables", whole: Path, **more: str) -> None:
         tables.save(whole)
         learned = {policy: roster.content_of(policy, world) for policy in policies}
-        run.describe(whole, world, typed(), seed=seed, episodes=episodes, drivers=learned, **more)
+        notes = [*unused_of(network), *doubts, *bars.notes]
+        notes += [*report.cut_short(tables.episodes), *report.alike(tables.episodes)]
+        run.describe(whole, world, typed(), seed=seed, episodes=episodes, drivers=learned, notes=notes, **more)
 
     try:
         place = files.whole_folder(out, overwrite=overwrite) if out and fcd else nullcontext()
@@ -192,7 +196,7 @@ def replay(
         if begin is not None or end is not None:
             raise InputError("--begin and --end cut floating-car data; of an episode all is shown")
         _require_no_recordings(what)
-        world, who = _found(what, overrides_of(network, routes, overrides), config_path)
+        world, who, _ = _found(what, overrides_of(network, routes, overrides), config_path)
         replay.write(who, world, out, seed=seed, episode=episode, judges=roster.judges_of(what), overwrite=overwrite)
     print(f"replay in {out}; open it in a browser")
 
@@ -209,8 +213,10 @@ def _require_no_recordings(policies: list[str]) -> None:
             raise InputError(f"'{one}' is a folder of floating-car data, a file an episode; name one, such as '{part}'")
 
 
-def _found(policies: list[str], overrides: list[str], config_path: Path | None) -> "tuple[Config, dict[str, Who]]":
-    """Return the world to drive in and who drives, by the names given, after telling what those leave in doubt."""
+def _found(
+    policies: list[str], overrides: list[str], config_path: Path | None
+) -> "tuple[Config, dict[str, Who], list[str]]":
+    """Return the world to drive in, who drives, by the names given, and what those leave in doubt, which is told."""
     from rail_sumo import roster, training
 
     twice = {policy for policy in policies if policies.count(policy) > 1}
@@ -219,6 +225,7 @@ def _found(policies: list[str], overrides: list[str], config_path: Path | None) 
     world = roster.world(policies, overrides, config=config_path)
     who = {policy: roster.find_driver(policy, world) for policy in policies}
     learned = roster.judges_of(policies).values()
-    for line in (*roster.doubts(policies, world), *training.changed_since(learned, world)):
+    doubts = [*roster.doubts(policies, world), *training.changed_since(learned, world)]
+    for line in doubts:
         tell(line)
-    return world, who
+    return world, who, doubts

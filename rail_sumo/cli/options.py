@@ -70,7 +70,10 @@ def unused_of(network: str | None) -> tuple[str, ...]:
     from rail_sumo.highway.network import sumocfg  # SUMO takes half a second to import
 
     left_out = sumocfg.read(Path(network))[1]
-    return (_unused(network, left_out),) if left_out else ()
+    if not left_out:
+        return ()
+    differs = "; traffic here may differ from that of your own runs with them" if sumocfg.MOVING & left_out.keys() else ""
+    return (f"rail-sumo {_unused(network, left_out)}{differs}",)
 
 
 def _unused(network: str, left_out: Mapping[str, str]) -> str:

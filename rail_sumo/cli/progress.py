@@ -35,6 +35,8 @@ class _Bars:
         self._task = TaskID(0)
         self._told_at = time.monotonic()
         self._told_of: TaskID | None = None
+        self.notes: list[str] = []
+        """What it was told to note."""
 
     def start(self, work: str, total: int, done: int = 0) -> None:
         self._task = self._progress.add_task(work, total=total, completed=done, figures="")
@@ -50,9 +52,13 @@ class _Bars:
         is_last = task.finished and self._told_of == self._task
         if self._progress.disable and (is_due or is_last):
             self._told_at, self._told_of = time.monotonic(), self._task
-            self.note(", ".join([f"{task.description}: {task.completed:.0f} of {task.total:.0f} done", *told]))
+            self._print(", ".join([f"{task.description}: {task.completed:.0f} of {task.total:.0f} done", *told]))
 
     def note(self, text: str) -> None:
+        self.notes.append(text)
+        self._print(text)
+
+    def _print(self, text: str) -> None:
         self._progress.console.print(f"rail-sumo: {text}", soft_wrap=True, markup=False, highlight=False)
 
 

@@ -7,6 +7,7 @@ from statistics import fmean
 from typing import Any
 
 from rail_sumo.config import FASTEST_CAR_MPS, Config
+from rail_sumo.errors import InputError
 from rail_sumo.highway.env import HighwayEnv
 from rail_sumo.highway.network import demand, road
 from rail_sumo.highway.network.road import Road
@@ -84,11 +85,11 @@ def check(world: Config, *, seed: int = 0) -> Findings:
         seed: of the traffic.
 
     Raises:
-        InputError: it cannot be driven.
+        InputError: it cannot be driven; what is told of the demand, which may be why, follows.
     """
     env = HighwayEnv(world, companions=lambda vehicle: lambda observation, agent: MetaAction.KEEP)
     try:
-        env.reset(seed=seed)
+        _begin(env, seed)
         warnings = [
             *_shortness(env),
             *road.warnings(env.stretch.road),
@@ -108,6 +109,14 @@ def check(world: Config, *, seed: int = 0) -> Findings:
         )
     finally:
         env.close()
+
+
+def _begin(env: HighwayEnv, seed: int) -> None:
+    try:
+        env.reset(seed=seed)
+    except InputError as error:
+        told = demand.warnings(env.demand, env.world.traffic)
+        raise InputError("; also, ".join([str(error), *told])) from None
 
 
 def _flows_vehph(env: HighwayEnv) -> dict[str, float]:

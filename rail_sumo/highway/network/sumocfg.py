@@ -40,6 +40,8 @@ OUR_OPTIONS = re.compile(
     r"|device\.toc\.file"
 )
 """Options of whatever topic that are ours, or that a configuration has keys of its own for."""
+MOVING = frozenset({"step-length", "step-method.ballistic", "lateral-resolution", "lanechange.duration"})
+"""Those of them by which SUMO's own vehicles drive otherwise."""
 
 
 def read(path: Path) -> tuple[dict[str, Any], dict[str, str]]:
