@@ -293,7 +293,9 @@ def test_what_an_evaluation_tells_is_kept_beside_its_tables(rail_sumo, tmp_path)
     code, out, err = rail_sumo("eval", "keep", "rule", *arguments)
     assert code == 0
     unused, *notes = json.loads((tmp_path / "out" / "evaluation.json").read_text())["notes"]
-    assert unused.startswith("rail-sumo does not use these options of 'one.sumocfg', and sets them itself: step-length 1")
+    assert unused.startswith(
+        "rail-sumo does not use these options of 'one.sumocfg', and sets them itself: step-length 1"
+    )
     assert unused.endswith("steps take 0.1 s; traffic here may differ from that of your own runs with them")
     assert "demand 'one.rou.xml' is not in order of departure: 'v40' may enter late or never" in notes[0]
     assert notes[1].startswith("every episode drives the same car")

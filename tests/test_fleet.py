@@ -484,6 +484,29 @@ def test_handed_back_a_car_does_not_brake_for_what_it_would_have_driven(tmp_path
     assert np.diff(speeds).min() > -0.31
 
 
+def test_where_it_takes_that_a_driven_car_brakes_harder_than_others_expect(tmp_path):
+    """At 25 m/s, 60 m behind a car that stands: v^2 / (2 s) is 5.4 m/s^2, and others expect 4.5."""
+    network, routes, file = tmp_path / "one.net.xml", tmp_path / "own.rou.xml", tmp_path / "f.csv"
+    network.write_text(cut_road(500.0, 500.0, lanes=1))
+    routes.write_text(
+        '<routes><vType id="car" decel="9" tau="0.3" sigma="0" speedFactor="1"/>'
+        '<vType id="lorry" vClass="truck" length="5"/><route id="r" edges="part0 part1"/>'
+        '<vehicle id="lorry" type="lorry" route="r" depart="0" departPos="200">'
+        '<stop lane="part0_0" endPos="200" duration="99"/></vehicle>'
+        '<vehicle id="one" type="car" route="r" depart="3" departPos="135" departSpeed="25"/></routes>'
+    )
+    world = with_demand(network, routes)
+    driven = Fleet(world, 1.0, SEED, driver("keep", world), ("--fcd-output", str(file)))
+    driven.drive(20.0)
+    fcd = pd.read_csv(file, sep=";")
+    speeds = fcd.loc[fcd["vehicle_id"] == "one", "vehicle_speed"].to_numpy()
+    assert driven.driven == {"one"}
+    assert driven.contacts == 0
+    assert speeds[0] == pytest.approx(25.0)
+    assert -0.9 - 1e-6 < np.diff(speeds).min() < -0.5
+    assert speeds[-1] == 0.0
+
+
 def test_a_lane_change_model_that_cannot_be_asked_with_is_left_alone(tmp_path):
     routes = tmp_path / "own.rou.xml"
     routes.write_text(

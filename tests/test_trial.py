@@ -49,7 +49,9 @@ def test_a_check_that_fails_tells_what_is_wrong_with_the_demand(tmp_path):
         for name, begin in (("late", 'begin="9000"'), ("typo", 'beginn="9100"'))
     )
     path.write_text(f"<routes>{flows}</routes>")
-    with pytest.raises(InputError, match=r"on the road at 60 s; .*; also, demand .* is not in order of departure: 'typo' may"):
+    with pytest.raises(
+        InputError, match=r"on the road at 60 s; .*; also, demand .* is not in order of departure: 'typo' may"
+    ):
         trial.check(world(traffic={"routes": (str(path),)}))
 
 
