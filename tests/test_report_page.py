@@ -12,7 +12,7 @@ from rail_sumo import assets, config_file, roster, run
 from rail_sumo.errors import InputError
 from rail_sumo.pictures import plot_episodes, report_page
 from rail_sumo.tables import report
-from rail_sumo.tables.shares import HEADINGS, rates
+from rail_sumo.tables.shares import DIFFERENCE_COLUMNS, HEADINGS, SUMMARY_COLUMNS, rates
 
 BRIEF = ["episode.duration_s=10.0", "traffic.vehicles=30"]
 
@@ -74,6 +74,35 @@ def test_an_interval_without_width_is_told_as_such_and_a_narrow_one_has_two_ends
     assert told["overtakes"] == ("211.0", "211<small>± 0, the same in all</small>")
     assert told["distance_m"][1] == "8200<small>8200.12 to 8200.13</small>"  # 8200.126 ± 0.002
     assert not re.search(r"<small>(\S+) to \1</small>", page)
+
+
+def test_ratios_have_three_decimals_or_as_many_as_an_interval_without_1_takes(evaluation, tmp_path):
+    _, tables = evaluation
+    row = {name: tables.episodes[name].iloc[0] for name in tables.episodes}
+    speeds = {"a": [50.0, 60.0, 70.00001], "b": [50.00001, 60.0, 70.0], "c": [49.99, 59.985, 69.989]}
+    rows = [
+        row | {"policy": name, "episode": k, "speed_kmh": speed, "distance_m": 100.0 * (1 + (name == "c"))}
+        for name, of_policy in speeds.items()
+        for k, speed in enumerate(of_policy)
+    ]
+    episodes = report.episodes(rows)
+    report.write(tmp_path / "mine", episodes=episodes, summary=report.summary(episodes, "a"))
+    report_page.write([tmp_path / "mine"], tmp_path / "page.html")
+    told = {row[0][0]: row[1:] for row in rows_of((tmp_path / "page.html").read_text(), "Evaluation")}
+    assert told["speed_kmh"][2][1] == "1.000<small>1.000 to 1.000</small>"
+    assert told["speed_kmh"][4][1] == "0.9998<small>0.9996 to 0.9999</small>"
+    assert told["distance_m"][4][1] == "2.000<small>± 0, the same in all</small>"
+
+
+def test_each_note_of_an_evaluation_is_on_its_page(evaluation, tmp_path):
+    folder, tables = evaluation
+    tables.write(tmp_path / "mine")
+    notes = ["all are as fast as each other", "<b>: 1 of 3 episodes"]
+    run.describe(tmp_path / "mine", config_file.load(None, BRIEF), "rail-sumo eval", notes=notes)
+    report_page.write([tmp_path / "mine"], tmp_path / "page.html")
+    page = (tmp_path / "page.html").read_text()
+    for note in notes:
+        assert f'<tr><td class="words">note</td><td class="words">{html.escape(note)}</td></tr>' in page
 
 
 def test_the_heading_says_what_each_folder_is(evaluation, tmp_path, monkeypatch):
@@ -224,17 +253,28 @@ def test_a_sweep_and_a_study_show_their_tables_and_figures(tmp_path):
     (study / "figure_speed.svg").write_text(svg)
     pd.DataFrame({"share": [0.5]}).to_parquet(sweep / "traffic.parquet")
     (sweep / "sweep.md").write_text("# mine\n\ncaption\n\n| who | flow |\n| --- | ---: |\n| a 50 % | 1,234 ± 5 |\n")
-    pd.DataFrame({"share": [0.5], "mean": [12.5]}).to_parquet(sweep / "summary.parquet")
-    of = {"vehicles": ["all", "driven"], "measure": ["flow_vehph"] * 2, "difference": [3.25, 77.75]}
-    pd.DataFrame(of).to_parquet(sweep / "differences.parquet")
+    arm = {"setting": "", "share": 0.5, "measure": "flow_vehph", "seeds": 3}
+    mean = {"driver": "rule", "vehicles": "all", "mean": 12.5, "low": 11.0, "high": 14.0}
+    report.typed([arm | mean], SUMMARY_COLUMNS).to_parquet(sweep / "summary.parquet")
+    relative = {"relative": 0.05, "relative_low": -0.01, "relative_high": 0.11}
+    differences = [
+        arm | relative | {"driver": driver, "vehicles": kind, "difference": value}
+        for driver, kind, value in (("sumo", "all", 0.0), ("rule", "all", 3.25), ("rule", "driven", 77.75))
+    ]
+    report.typed(differences, DIFFERENCE_COLUMNS).to_parquet(sweep / "differences.parquet")
     figures = {name: [1.0, 3.0] for name in ("speed_kmh", "overtakes", "lane_changes", "refused_decisions")}
     pd.DataFrame({"system": ["rail-2"] * 2, "seed": [0, 0]} | figures).to_parquet(study / "cells.parquet")
     pd.DataFrame({"system": ["rail-2"], "ratio": [0.99]}).to_csv(study / "table1.csv", index=False)
     report_page.write([sweep, study], tmp_path / "page.html")
     page = (tmp_path / "page.html").read_text()
     assert rows_of(page, "All vehicles") == [[("a 50 %", "a 50 %"), ("1,234 ± 5", "1,234 ± 5")]]
-    assert 'data-value="3.25"' in page  # the difference of all vehicles, ...
-    assert "77.75" not in page  # ... and not that of those driven
+    _, of_differences, of_means, *_ = re.findall(r"<table.*?</table>", page, re.DOTALL)
+    heads = re.findall(r'scope="col" class="\w+">(.*?)<', of_differences)
+    assert heads == ["driver", "share", "measure", "seeds", "difference", "relative", "seeds_to_tell"]
+    cells = '<td data-value="3.25">3.25</td><td data-value="0.05">0.05<small>-0.01 to 0.11</small></td><td></td>'
+    assert of_differences.count("<tr>") == 1 + 1  # of all vehicles, not of those driven, nor of those as they are
+    assert cells in of_differences
+    assert '<td data-value="12.5">12.5<small>11 to 14</small></td>' in of_means
     assert "<caption>mine. caption</caption>" in page
     [of_sweep, of_study] = re.findall(r'<div class="figures">(.*?)</div>', page)
     assert re.findall(r'alt="(.*?)"', of_sweep) == [HEADINGS["flow_vehph"], HEADINGS["co2_g_per_vehkm"]]

@@ -20,8 +20,10 @@ from rail_sumo.files import check_file, whole_file
 from rail_sumo.pictures import plot, plot_episodes
 from rail_sumo.records import MetaAction
 from rail_sumo.run_directory import CLONE, CONFIG, PROGRESS
+from rail_sumo.tables import report
 from rail_sumo.tables.report import CONTACTS, DECISIONS, EPISODES, ORIGIN, SUMMARY, WORLD
-from rail_sumo.tables.shares import ARM, EDGES, HEADINGS, TOLD, called, rates
+from rail_sumo.tables.shares import ARM, AS_THEY_ARE, EDGES, HEADINGS, TOLD, called, rates
+from rail_sumo.tables.traffic import ALL
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -117,14 +119,15 @@ def _origin(folder: Path) -> Iterator[str]:
         return
     try:
         about = json.loads(file.read_text(encoding="utf-8"))
-        told = {
-            key: "; ".join(about[key]) if key == "notes" else str(about[key])
+        told = [
+            (key.removesuffix("s") if key == "notes" else key, str(line))
             for key in ("command", "seed", "interrupted", "notes", "rail-sumo", "libsumo")
             if key in about
-        }
+            for line in (list(about[key]) if key == "notes" else [about[key]])
+        ]
     except (ValueError, TypeError) as error:
         raise InputError(f"'{file}' is damaged: {error}") from None
-    yield _table(pd.DataFrame({"": list(told), "what was run": list(told.values())}), is_sortable=False)
+    yield _table(pd.DataFrame(told, columns=["", "what was run"]), is_sortable=False)
 
 
 def _evaluation(episodes: pd.DataFrame, summary: pd.DataFrame) -> Iterator[str]:
@@ -163,6 +166,8 @@ class _Interval(NamedTuple):
     value: float
     low: float
     high: float
+    decimals: int | None = None
+    """Of all three; None for as many as four digits take, and for the ends as many as tell them apart."""
 
 
 class _Share(NamedTuple):
@@ -179,8 +184,9 @@ def _with_contact(contacts: "pd.Series[Any]", row: "pd.Series[Any]") -> _Share:
 
 
 def _with_interval(row: "pd.Series[Any]", what: str) -> _Interval:
-    low, high = ("low", "high") if what == "mean" else (f"{what}_low", f"{what}_high")
-    return _Interval(*(float(row[name]) for name in (what, low, high)))
+    ends = ("low", "high") if what == "mean" else (f"{what}_low", f"{what}_high")
+    value, low, high = (float(row[name]) for name in (what, *ends))
+    return _Interval(value, low, high, report.ratio_decimals(low, high, 3) if what == "ratio" else None)
 
 
 def _decisions(decisions: pd.DataFrame, *, n_networks: int) -> Iterator[str]:
@@ -223,12 +229,23 @@ def _sweep(folder: Path) -> Iterator[str]:
     if (folder / SWEEP).is_file():
         yield "<h3>All vehicles</h3>" + _table(*_of_markdown((folder / SWEEP).read_text(encoding="utf-8")))
     yield _figures(folder / "figures", "*.svg")
-    of_all = differences[differences["vehicles"] == "all"].drop(columns="vehicles")
+    of_all = differences[(differences["vehicles"] == ALL) & (differences["driver"] != AS_THEY_ARE)]
+    of_all = _with_intervals(of_all.drop(columns="vehicles"), "difference", "relative")
     caption = "Differences from the same runs without driven cars, of all vehicles, with 95 % intervals."
     yield "<details><summary>All differences</summary>" + _table(of_all, caption) + "</details>"
-    yield "<details><summary>Means of every arm</summary>" + _table(_read(folder / SUMMARY)) + "</details>"
+    means = _table(_with_intervals(_read(folder / SUMMARY), "mean"), "Means over seeds, with 95 % intervals.")
+    yield f"<details><summary>Means of every arm</summary>{means}</details>"
     if (folder / EDGES).is_file():
         yield from _edges(_read(folder / EDGES))
+
+
+def _with_intervals(table: pd.DataFrame, *figures: str) -> pd.DataFrame:
+    """Return a table with each of these figures and its interval in one cell, and without the setting if none is."""
+    ends = [name for name in table if str(name).endswith(("low", "high"))]
+    told = {name: [_with_interval(row, name) for _, row in table.iterrows()] for name in figures}
+    told_at = {name: pd.Series(cells, index=table.index, dtype=object) for name, cells in told.items()}
+    shown = table.assign(**told_at).drop(columns=ends)
+    return shown if (table["setting"] != "").any() else shown.drop(columns="setting")
 
 
 def _edges(edges: pd.DataFrame) -> Iterator[str]:
@@ -329,7 +346,10 @@ def _table(table: pd.DataFrame, caption: str = "", *, is_sortable: bool = True) 
 
 def _cell(value: Any) -> str:
     if isinstance(value, _Interval):
-        return _cell(value.value).replace("</td>", f"{_within(value.low, value.high)}</td>")
+        if math.isnan(value.value):
+            return "<td></td>"
+        shown = f"{value.value:.4g}" if value.decimals is None else f"{value.value:.{value.decimals}f}"
+        return f'<td data-value="{value.value!r}">{shown}{_within(value.low, value.high, value.decimals)}</td>'
     if isinstance(value, _Share):
         if not value.episodes:
             return "<td></td>"
@@ -342,12 +362,14 @@ def _cell(value: Any) -> str:
     return f"<td>{text}</td>" if isinstance(value, int) else f"{WORDS}{text}</td>"
 
 
-def _within(low: float, high: float) -> str:
-    """Return a mean's interval: its ends with as many digits, four at least, as tell them apart."""
+def _within(low: float, high: float, decimals: int | None) -> str:
+    """Return an interval: its ends with so many decimals, or as many digits, four at least, as tell them apart."""
     if math.isnan(low):
         return ""
     if low == high:
         return "<small>± 0, the same in all</small>"
+    if decimals is not None:
+        return f"<small>{low:.{decimals}f} to {high:.{decimals}f}</small>"
     digits = next(n for n in range(4, 18) if f"{low:.{n}g}" != f"{high:.{n}g}")
     return f"<small>{low:.{digits}g} to {high:.{digits}g}</small>"
 
