@@ -72,7 +72,8 @@ def unused_of(network: str | None) -> tuple[str, ...]:
     left_out = sumocfg.read(Path(network))[1]
     if not left_out:
         return ()
-    differs = "; traffic here may differ from that of your own runs with them" if sumocfg.MOVING & left_out.keys() else ""
+    moves = bool(sumocfg.MOVING & left_out.keys())
+    differs = "; traffic here may differ from that of your own runs with them" if moves else ""
     return (f"rail-sumo {_unused(network, left_out)}{differs}",)
 
 
