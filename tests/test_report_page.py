@@ -95,7 +95,7 @@ def test_ratios_have_three_decimals_or_as_many_as_an_interval_without_1_takes(ev
 
 
 def test_each_note_of_an_evaluation_is_on_its_page(evaluation, tmp_path):
-    folder, tables = evaluation
+    _, tables = evaluation
     tables.write(tmp_path / "mine")
     notes = ["all are as fast as each other", "<b>: 1 of 3 episodes"]
     run.describe(tmp_path / "mine", config_file.load(None, BRIEF), "rail-sumo eval", notes=notes)
