@@ -91,7 +91,7 @@ def letting_in_mps(speed_mps: float, other: Leader, stands_in_m: float, adas: Ad
         adas: limits of the host's car-following.
     """
     gap_m = other.gap_m + stands_in_m - braking_distance_m(speed_mps, adas.comfort_braking_mps2)
-    return falling_in_mps(speed_mps, other, adas) if gap_m >= adas.standstill_gap_m + SPARE_M else math.inf
+    return falling_in_mps(speed_mps, other, adas) if gap_m >= adas.standstill_gap_m + SPARE_M / 2 else math.inf
 
 
 def needed_mps2(speed_mps: float, leader: Leader, adas: Adas) -> float:

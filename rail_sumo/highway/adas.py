@@ -309,7 +309,12 @@ def _stands_in_m(host: HostState) -> float:
     lanes = range(host.rightmost_lane, host.leftmost_lane + 1)
     farther = [lane for lane in lanes if host.ends_in_m(lane) > lane_ends_in_m]
     goes_left = min(farther, key=lambda lane: abs(lane - host.lane), default=host.lane) > host.lane
-    return lane_ends_in_m - (MAKES_WAY_M if goes_left else LANE_END_SHORT_M)
+    return lane_ends_in_m - stands_before_m(LEFT if goes_left else RIGHT)
+
+
+def stands_before_m(side: Side) -> float:
+    """Return how far before the end of a lane that it must leave to a side a vehicle stands."""
+    return MAKES_WAY_M if side == LEFT else LANE_END_SHORT_M
 
 
 def slowed_for(host: HostState, config: config.Adas, speed_mps: float) -> Literal["limit", "stop", "lane end"]:

@@ -10,6 +10,7 @@ from rail_sumo import config
 from rail_sumo.errors import InputError
 from rail_sumo.highway import acc, neighbours
 from rail_sumo.highway.acc import Leader
+from rail_sumo.highway.adas import LEFT, RIGHT, stands_before_m
 from rail_sumo.highway.cut_ins import CutIns
 from rail_sumo.highway.junctions import SUMO_SPEED_MODE, Junctions
 from rail_sumo.highway.names import HOST
@@ -426,8 +427,7 @@ class Host:
         if found is None:
             return None
         means = libsumo.vehicle.getLaneChangeState(found[0], -side)[0]
-        is_driven = libsumo.vehicle.getTypeID(found[0]).startswith(HOST_TYPE)  # such a one means nothing else
-        must = (LCA_RIGHT if side > 0 else LCA_LEFT) | (0 if is_driven else LCA_STRATEGIC)
+        must = (LCA_RIGHT if side > 0 else LCA_LEFT) | (0 if _is_driven(found[0]) else LCA_STRATEGIC)
         return found if means & must == must else None
 
     def _letting_in_mps(self, side: int) -> float:
@@ -436,7 +436,8 @@ class Host:
             return math.inf
         name, gap_m = found
         other = Leader(gap_m, libsumo.vehicle.getSpeed(name))
-        return acc.letting_in_mps(self.speeds_mps[-1], other, to_lane_end_m(name), self._adas)
+        stands_in_m = to_lane_end_m(name) - (stands_before_m(RIGHT if side > 0 else LEFT) if _is_driven(name) else 0.0)
+        return acc.letting_in_mps(self.speeds_mps[-1], other, max(stands_in_m, 0.0), self._adas)
 
     def _brace(self, speed_mps: float) -> None:
         """Have SUMO brake as hard as it may, where it takes more than others expect of the host.
@@ -529,3 +530,8 @@ class Host:
     def hard_brakings_behind(self) -> int:
         """How often vehicles braked hard within 5 s of the host's moving in front of them."""
         return self._cut_ins.hard_brakings
+
+
+def _is_driven(name: str) -> bool:
+    """Whether a vehicle is a host too. Such a one means to change lanes by itself only where it must."""
+    return libsumo.vehicle.getTypeID(name).startswith(HOST_TYPE)
