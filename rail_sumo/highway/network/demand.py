@@ -118,9 +118,9 @@ def warnings(demand: Demand, traffic: config.Traffic) -> Iterator[str]:
         closed = demand_file.read(path).closed_lanes
         if closed:
             yield (
-                f"'{path}' closes lanes for a time (closingLaneReroute): {', '.join(closed)}, "
-                f"which driven cars do not see: they would stand before it; close it in the network, by "
-                f'disallow="all", for all of the time'
+                f"'{path}' closes lanes for a time (closingLaneReroute): {', '.join(closed)}; driven cars do not see "
+                f"that, and stand before them; close them in the network instead, for all of the time "
+                f'(disallow="all")'
             )
     for given in demand.routes:
         for path in _with_included(given):
