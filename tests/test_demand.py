@@ -177,6 +177,19 @@ def test_a_lane_that_an_additional_file_closes_to_cars_for_a_time_is_told_of_onc
         assert 'disallow="all"' in line
 
 
+def test_what_gives_vehicles_other_routes_while_they_drive_is_told_of(tmp_path):
+    routes = written(tmp_path, '<routes><vehicle id="v" depart="0"/></routes>')
+    path = tmp_path / "detour.add.xml"
+    closing = '<closingReroute id="b"/><closingReroute id="c"/><destProbReroute id="d"/>'
+    path.write_text(f'<additional><rerouter id="r" edges="a"><interval>{closing}</interval></rerouter></additional>')
+    (told,) = demand.warnings(read([routes], [str(path)]), AS_USUAL)
+    assert told.startswith(f"'{path}' (closingReroute, destProbReroute) may give vehicles other routes while they")
+    for period, is_told in (("60", True), ("0:00:30", True), ("0", False), ("0.00", False)):
+        options = [f"device.rerouting.period={period}", "device.rerouting.probability=1"]
+        told = list(demand.warnings(read([routes], options=options), AS_USUAL))
+        assert [line.partition(" may give")[0] for line in told] == [options[0]] * is_told
+
+
 def test_a_flow_departs_when_it_begins(tmp_path):
     path = written(tmp_path, '<routes><flow id="f" begin="1000"/><vehicle id="v" depart="90"/></routes>')
     (told,) = demand.warnings(read([path]), AS_USUAL)

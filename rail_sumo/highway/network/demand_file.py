@@ -35,6 +35,8 @@ KNOWN = ADDITIONAL | frozenset({
 
 UNNAMED = frozenset({"calibrator", "person", "personFlow"})
 """Elements for which SUMO may make vehicles, with ids of its own."""
+REROUTING = frozenset({"closingReroute", "routeProbReroute", "destProbReroute", "viaProbReroute"})
+"""Elements of rerouters that give a vehicle another route while it drives."""
 OUTPUTS = ("file", "output", "dest")
 """Attributes that name a file to be written."""
 LONGEST_CAR_M = 8.0
@@ -71,6 +73,8 @@ class DemandFile:
     """Ids of the types that vehicles are of."""
     closed_lanes: list[str] = field(default_factory=list)
     """Ids of lanes that rerouters close to passenger cars for a time, each once."""
+    rerouting: list[str] = field(default_factory=list)
+    """The elements of rerouters that give vehicles other routes while they drive, each once."""
     may_have_more: bool = False
     """Whether SUMO may make vehicles for it with other ids than these, or more of them than it says."""
     too_dense: str = ""
@@ -105,6 +109,8 @@ class DemandFile:
                     self.long_cars[name] = length_m
         if tag == "closingLaneReroute" and _closes_to_cars(element) and name not in self.closed_lanes:
             self.closed_lanes.append(name)
+        if tag in REROUTING and tag not in self.rerouting:
+            self.rerouting.append(tag)
         if tag == "include":
             self.includes.append(element.get("href", ""))
         self.outputs += filter(None, map(element.get, OUTPUTS))
