@@ -91,7 +91,7 @@ def test_the_configuration_shown_is_one_and_changes_what_it_names(tmp_path):
 @pytest.mark.slow
 def test_the_python_shown_runs_in_an_empty_folder(tmp_path):
     (training,) = shown("docs/start.md", "python")
-    (edges,) = shown("docs/share.md", "python")
+    edges, one_run = shown("docs/share.md", "python")
     over_trainings, apart = shown("docs/learners.md", "python")
     (environment,) = shown("README.md", "python")
     (floating_car_data,) = shown("docs/watch.md", "python")
@@ -111,6 +111,11 @@ def test_the_python_shown_runs_in_an_empty_folder(tmp_path):
     share = f"sweep share 0 0.5 --driver road-rail --out share {small}"
     run(tmp_path, "-c", "from rail_sumo import cli; cli.main()", *share.split())
     assert {"share", "type", "van", "edge"} <= set(run(tmp_path, "-c", edges).split())
+    run(tmp_path, "-c", one_run.replace("seed(4,", "seed(0,").replace("720.0", "90.0"))
+    alone, rows = pd.read_parquet(tmp_path / "seed4.parquet"), pd.read_csv(tmp_path / "share" / "traffic.csv")
+    speed_kmh = 3.6 * alone.loc[alone["timestep_time"].between(30.0, 89.9), "vehicle_speed"].mean()
+    of_run = rows[(rows["driver"] == "road-rail") & (rows["vehicles"] == "all")]
+    assert speed_kmh == pytest.approx(of_run["speed_kmh"].item())
     by_lane = run(tmp_path, "-c", floating_car_data)
     assert {"runs/linear", "rule"} <= set(by_lane.split())
     assert "highway_2" in by_lane  # the lane in the middle, where neither can help driving

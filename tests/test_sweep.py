@@ -387,6 +387,23 @@ def test_a_key_may_be_swept_over(world, tmp_path, figures):
     assert (tmp_path / "out" / "figures" / "speed_kmh.svg").exists()
 
 
+def test_a_figure_shows_each_run_also_one_that_broke_down(world, tmp_path, monkeypatch, figures):
+    drawn = {}
+    monkeypatch.setattr(plot, "save", lambda figure, path, **_: drawn.update({path.name: figure.axes[0]}))
+    swept = small(world, tmp_path / "out", drivers=("acc",), shares=(1.0,))
+    tables = swept.drive()
+    broken = tables.traffic.copy()
+    is_one = (broken["driver"] == "acc") & (broken["vehicles"] == traffic.ALL) & (broken["seed"] == 1)
+    broken.loc[is_one, "speed_kmh"] = 5.0
+    swept._draw(tables._replace(traffic=broken))
+    axes = drawn["speed_kmh.svg"]
+    _, points = axes.get_lines()
+    of_all = broken[broken["vehicles"] == traffic.ALL].set_index(["driver", "share", "seed"])["speed_kmh"]
+    runs = [("sumo", 0.0, 0), ("sumo", 0.0, 1), ("acc", 1.0, 0), ("acc", 1.0, 1)]
+    assert points.get_xydata().tolist() == [[share, of_all[driver, share, seed]] for driver, share, seed in runs]
+    assert axes.get_ylim()[0] <= 5.0
+
+
 def test_what_makes_figures_doubtful_is_kept_beside_them(world, tmp_path, figures):
     hears = Hears()
     world = world.changed(traffic={"lorries": 0.5})

@@ -143,6 +143,8 @@ def test_who_comes_goes_and_waits(tmp_path):
     assert [told["all"][name] for name in counts] == [2, 1, 1, 1]
     assert [told["driven"][name] for name in counts] == [1, 1, 0, 0]
     assert told["all"]["depart_delay_s"] == pytest.approx((0.5 + 1.5 + 4.0) / 3)
+    assert told["all"]["travel_time_s"] == 9.0 - 1.0  # of the one that has arrived
+    assert np.isnan(told["others"]["travel_time_s"])
     assert told["all"]["co2_g_per_vehkm"] == pytest.approx(450 / 3)
     assert told["all"]["fuel_ml_per_vehkm"] == pytest.approx(222.6 / 0.742 / 3)
 
@@ -210,6 +212,10 @@ def test_flow_density_time_loss_and_counts_are_those_of_sumos_own_outputs(tmp_pa
     assert ours["lane_changes_per_vehkm"] * ours["vehkm"] == pytest.approx(len(from_edges))
     assert sum(not lane.startswith(":") for lane in from_edges) == changes
     assert (ours["arrived"], ours["inserted"]) == (arrived, inserted)
+    trips = ElementTree.parse(tmp_path / "trips.xml").getroot()
+    durations_s = [float(trip.get("duration")) for trip in trips if float(trip.get("arrival")) >= 0]
+    mean_s = np.mean(durations_s) if durations_s else np.nan
+    assert ours["travel_time_s"] == pytest.approx(mean_s, nan_ok=True)
     by_edge = reports.edges(set()).groupby("edge").sum(numeric_only=True)
     for edge in theirs:
         sampled_s = float(edge["sampledSeconds"])

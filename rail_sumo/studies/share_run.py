@@ -57,6 +57,7 @@ class ShareRun:
             "shares": self.shares,
             "seed": self.seed,
             "period": (self.warm_up_s, self.duration_s),
+            "columns": [*TRAFFIC_COLUMNS, *EDGE_COLUMNS],
             "by": assets.own_version(),
         }
         return json.dumps(about, sort_keys=True)

@@ -10,8 +10,9 @@ from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from importlib.util import find_spec
 from pathlib import Path
-from typing import NamedTuple
+from typing import TYPE_CHECKING, NamedTuple
 
+import numpy as np
 import pandas as pd
 from rich.table import Table
 
@@ -22,6 +23,7 @@ from rail_sumo.files import check_folder, whole_file
 from rail_sumo.highway.fleet import Instead, demand_of, sumo_command
 from rail_sumo.highway.network import demand, road
 from rail_sumo.pictures import plot
+from rail_sumo.records import Floats
 from rail_sumo.rollout import EVALUATION, SILENT, Observer, Who, traffic_seed
 from rail_sumo.run_directory import CONFIG
 from rail_sumo.studies import share_run
@@ -40,6 +42,9 @@ from rail_sumo.tables.shares import (
     told_rows,
     told_table,
 )
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
 
 SHARE = "share"
 """What is swept over, unless it is a key of the configuration."""
@@ -129,28 +134,37 @@ class Sweep:
         run.describe(self.out, self.config, self.command, notes=notes, drivers=learned, sumo=sumo)
         with whole_file(self.out / "sweep.md") as partial:
             partial.write_text(markdown(self, tables), encoding="utf-8")
-        self._draw(tables.summary)
+        self._draw(tables)
         return tables
 
-    def _draw(self, summary: pd.DataFrame) -> None:
+    def _draw(self, tables: "Tables") -> None:
         """Draw every measure of all vehicles, as PNG and SVG, if there is anything to draw with."""
         if find_spec("matplotlib") is None:
             self.observer.note("no figures without matplotlib; install it with: pip install 'rail-sumo[plots]'")
             return
         across = "share" if self.key == SHARE else "setting"
-        of_all = summary[summary["vehicles"] == traffic.ALL]
-        zero = of_all[(of_all["driver"] == AS_THEY_ARE) & (of_all["share"] == 0.0)]
+        of_all, of_seeds = (one[one["vehicles"] == traffic.ALL] for one in (tables.summary, tables.traffic))
+        who = (*self.drivers, *([AS_THEY_ARE] if self.key != SHARE else ()))
         for measure in MEASURED:
-            curves = {}
-            for driver in (*self.drivers, *([AS_THEY_ARE] if self.key != SHARE else ())):
-                told = of_all[(of_all["driver"] == driver) & (of_all["share"] > 0.0)]
-                told = pd.concat([zero, told]) if self.key == SHARE else zero if driver == AS_THEY_ARE else told
-                told = told[told["measure"] == measure]
+            curves, points = {}, []
+            for driver in who:
+                told = self._along_a_curve(of_all[of_all["measure"] == measure], driver)
                 label = "as they are" if driver == AS_THEY_ARE else driver
                 curves[label] = told[[across, "mean", "low", "high"]].astype("float64").sort_values(across).to_numpy()
+                points.append(self._along_a_curve(of_seeds, driver)[[across, measure]].astype("float64").to_numpy())
             figure = plot.with_bands(curves, "share of the cars" if self.key == SHARE else self.key, HEADINGS[measure])
+            if self.seeds > 1:
+                _mark(figure.axes[0], points)
             for suffix in (".png", ".svg"):
                 plot.save(figure, self.out / FIGURES / f"{measure}{suffix}", overwrite=True)
+
+    def _along_a_curve(self, rows: pd.DataFrame, driver: str) -> pd.DataFrame:
+        """Return the rows that a driver's curve goes along: from share 0 on, where the share is varied."""
+        zero = rows[(rows["driver"] == AS_THEY_ARE) & (rows["share"] == 0.0)]
+        own = rows[(rows["driver"] == driver) & (rows["share"] > 0.0)]
+        if self.key == SHARE:
+            return pd.concat([zero, own])
+        return zero if driver == AS_THEY_ARE else own
 
     def _check(self) -> None:
         if self.seeds < 1:
@@ -304,6 +318,21 @@ class Tables(NamedTuple):
     """How long the traffic drove before it counted."""
     notes: tuple[str, ...] = ()
     """What makes the figures depend on the period."""
+
+
+def _mark(axes: "Axes", points: Sequence[Floats]) -> None:
+    """Draw every run as a small point in its curve's colour, since a mean hides the one that broke down.
+
+    Args:
+        axes: with a line for each curve.
+        points: of each curve; rows of where and what, NaN if there is none, shape (n, 2).
+    """
+    for line, of_curve in zip(axes.get_lines(), points, strict=True):
+        axes.plot(*of_curve.T, ".", markersize=4, alpha=0.5, color=line.get_color(), clip_on=False)
+        heights = of_curve[np.isfinite(of_curve[:, 1]), 1]
+        if len(heights):
+            bottom, top = axes.get_ylim()
+            axes.set_ylim(min(bottom, heights.min()), max(top, heights.max()))
 
 
 def markdown(sweep: Sweep, tables: Tables) -> str:

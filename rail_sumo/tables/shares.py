@@ -174,6 +174,7 @@ HEADINGS = {
     "speed_std_kmh": "standard deviation of a vehicle's speed, km/h",
     "time_loss_s_per_km": "time loss, s a kilometre",
     "depart_delay_s": "delay of departure, s",
+    "travel_time_s": "travel time of those that arrived, s",
     "lane_changes_per_vehkm": "lane changes a vehicle kilometre",
     "hard_brakings_per_vehkm": "hard brakings a vehicle kilometre",
     "ttc_below_1_5s_per_vehkm": "times to collision below 1.5 s a vehicle kilometre",
