@@ -273,9 +273,10 @@ def test_a_sumocfg_brings_its_network_demand_and_options_and_what_is_ours_is_tol
     told = "my: road of 8,200 m with 3 lanes\nedges: highway\nlimit: 80 km/h\nhost of the first episode: 'follow."
     assert (code, err) == (0, note)
     assert out.startswith(told)
-    as_ours = (tmp_path / "a" / "my.sumocfg").read_text().replace('step-length v="1"', 'step-length v="0.10"')
-    (tmp_path / "a" / "my.sumocfg").write_text(as_ours)
-    assert "step-length" not in rail_sumo("config", "--network", "a/my.sumocfg")[2]
+    as_ours = options.replace('<end v="9"/><step-length v="1"/>', '<step-length v="0.10"/><threads v="1"/>')
+    as_ours += '<lateral-resolution v="0"/><lanechange.duration v="0:00:00"/><step-method.ballistic v="false"/>'
+    (tmp_path / "a" / "my.sumocfg").write_text(f"<configuration>{as_ours}</configuration>")
+    assert rail_sumo("config", "--network", "a/my.sumocfg")[2] == ""
     others = ("--routes", "highway3", "--set", "traffic.begin_s=9")
     assert 'routes = [\n    "highway3",\n]' in rail_sumo("config", "--network", "a/my.sumocfg", *others)[1]
     assert "begin_s = 9.0" in rail_sumo("config", "--network", "a/my.sumocfg", *others)[1]

@@ -42,6 +42,8 @@ OUR_OPTIONS = re.compile(
 """Options of whatever topic that are ours, or that a configuration has keys of its own for."""
 MOVING = frozenset({"step-length", "step-method.ballistic", "lateral-resolution", "lanechange.duration"})
 """Those of them by which SUMO's own vehicles drive otherwise."""
+USED = {"step-length": SECONDS_PER_STEP, "lateral-resolution": 0.0, "lanechange.duration": 0.0, "threads": 1.0}
+"""What some of them are here; `step-method.ballistic` is false."""
 
 
 def read(path: Path) -> tuple[dict[str, Any], dict[str, str]]:
@@ -79,9 +81,11 @@ def read(path: Path) -> tuple[dict[str, Any], dict[str, str]]:
 
 def _is_as_ours(option: str, value: str) -> bool:
     """Whether an option that is left out says what is done all the same."""
+    if option == "step-method.ballistic":
+        return value == "false"
     try:
-        return option == "step-length" and seconds(value) == SECONDS_PER_STEP
-    except ValueError:
+        return seconds(value) == USED[option]
+    except (KeyError, ValueError):
         return False
 
 
