@@ -16,7 +16,8 @@ from rail_sumo import assets
 from rail_sumo.film import Decision, Driven, Film, Ground, Holding, Lane, Mark, MarkKind, StopLine, Vehicle
 from rail_sumo.pictures import page, report_page
 from rail_sumo.records import MetaAction
-from rail_sumo.tables.shares import HEADINGS
+from rail_sumo.tables import report
+from rail_sumo.tables.shares import DIFFERENCE_COLUMNS, HEADINGS, SUMMARY_COLUMNS
 
 LANE_M, N_LANES, N_RAYS, RANGE_M = 3.5, 3, 24, 100.0
 EAST_M, NORTH_M = 468_000.0, 5_540_000.0  # far from the origin, as georeferenced networks are
@@ -214,7 +215,7 @@ def _rays(columns, vehicles, lateral, n_frames):
 
 def _holding(rng, n_frames):
     changes = rng.integers(0, n_frames, 40)
-    values = rng.choice(len(get_args(Holding)), 41, p=[0.35, 0.1, 0.05, 0.3, 0.02, 0.08, 0.05, 0.05, 0.0])
+    values = rng.choice(len(get_args(Holding)), 41, p=[0.35, 0.1, 0.05, 0.3, 0.02, 0.08, 0.05, 0.05, 0.0, 0.0])
     return values[np.searchsorted(np.sort(changes), np.arange(n_frames), side="right")].astype(np.int8)
 
 
@@ -283,8 +284,17 @@ def sweep(folder):
     for measure in HEADINGS:
         (folder / "figures" / f"{measure}.svg").write_text(svg)
     (folder / "sweep.md").write_text("# here: rule\n\n10 seeds\n\n| driver | share |\n| --- | ---: |\n| rule | 50% |\n")
-    for name in ("traffic", "summary", "differences"):
-        pd.DataFrame({"vehicles": ["all"], "share": [0.5]}).to_parquet(folder / f"{name}.parquet")
+    arms = [
+        {"driver": "road-rail", "setting": "", "share": share, "vehicles": "all", "measure": measure, "seeds": 10}
+        for share in (0.1, 0.5, 1.0)
+        for measure in HEADINGS
+    ]
+    figures = ("mean", "low", "high", "difference", "difference_low", "difference_high")
+    figures += ("relative", "relative_low", "relative_high", "seeds_to_tell", "seeds_for_5_percent")
+    rows = [arm | {name: -1234.5678 - k for k, name in enumerate(figures)} for arm in arms]
+    for name, columns in (("summary", SUMMARY_COLUMNS), ("differences", DIFFERENCE_COLUMNS)):
+        report.typed(rows, columns).to_parquet(folder / f"{name}.parquet")
+    pd.DataFrame({"share": [0.5]}).to_parquet(folder / "traffic.parquet")
     return folder
 
 

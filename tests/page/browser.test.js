@@ -896,6 +896,22 @@ for (const [viewport, columns] of [[WIDE, 3], [NARROW, 2]]) {
 }
 
 for (const [size, viewport] of Object.entries({ wide: WIDE, narrow: NARROW })) {
+  test(`a sweep's differences have whole names, all columns on a wide page, and their scroll bar in sight, ${size}`, async () => {
+    await withPage("sweep", { hash: "", viewport }, async (page) => {
+      await page.locator("summary", { hasText: "All differences" }).click();
+      const box = page.locator("details .wide").first();
+      const [hidden, bottom] = await box.evaluate((one) => [one.scrollWidth - one.clientWidth, one.getBoundingClientRect().height]);
+      assert.equal(hidden > 0, size === "narrow", `${hidden} px are to be scrolled to`);
+      assert.ok(bottom < viewport.height, `${bottom} px high`);
+      const names = box.locator("td.words", { hasText: "drac_above_3_4_per_vehkm" });
+      const [name, short] = [names.first(), box.locator("td.words", { hasText: "waiting" }).first()];
+      const lines = (cell) => cell.evaluate((one) => { const range = document.createRange(); range.selectNodeContents(one); return range.getClientRects().length; });
+      assert.deepEqual([await lines(name), await lines(short)], [1, 1]);
+    });
+  });
+}
+
+for (const [size, viewport] of Object.entries({ wide: WIDE, narrow: NARROW })) {
   test(`a report's tables are sorted by a click on a heading, by the full value, and turned round by a second, ${size}`, async () => {
     await withPage("report", { hash: "", viewport }, async (page) => {
       const table = page.locator("details table").first();
