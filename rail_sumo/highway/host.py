@@ -427,7 +427,7 @@ class Host:
         if found is None:
             return None
         means = libsumo.vehicle.getLaneChangeState(found[0], -side)[0]
-        must = (LCA_RIGHT if side > 0 else LCA_LEFT) | (0 if _is_driven(found[0]) else LCA_STRATEGIC)
+        must = (LCA_RIGHT if side > 0 else LCA_LEFT) | (0 if _asks(found[0]) else LCA_STRATEGIC)
         return found if means & must == must else None
 
     def _letting_in_mps(self, side: int) -> float:
@@ -436,7 +436,7 @@ class Host:
             return math.inf
         name, gap_m = found
         other = Leader(gap_m, libsumo.vehicle.getSpeed(name))
-        stands_in_m = to_lane_end_m(name) - (stands_before_m(RIGHT if side > 0 else LEFT) if _is_driven(name) else 0.0)
+        stands_in_m = to_lane_end_m(name) - (stands_before_m(RIGHT if side > 0 else LEFT) if _asks(name) else 0.0)
         return acc.letting_in_mps(self.speeds_mps[-1], other, max(stands_in_m, 0.0), self._adas)
 
     def _brace(self, speed_mps: float) -> None:
@@ -532,6 +532,6 @@ class Host:
         return self._cut_ins.hard_brakings
 
 
-def _is_driven(name: str) -> bool:
-    """Whether a vehicle is a host too. Such a one means to change lanes by itself only where it must."""
-    return libsumo.vehicle.getTypeID(name).startswith(HOST_TYPE)
+def _asks(name: str) -> bool:
+    """Whether a vehicle is a host that asks to be let in."""
+    return libsumo.vehicle.getLaneChangeMode(name) == ASKS
