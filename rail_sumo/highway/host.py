@@ -26,6 +26,8 @@ COMMANDED_ONLY = 256
 """Lane-change mode of the host: no change of its own accord; the ADAS layer is the gate, SUMO only avoids overlap."""
 ASKS, ASSERTIVE, NOT_ASSERTIVE = 257, "laneChangeModel.lcAssertive", "1e-9"
 """The same, but it means to leave a lane that does not lead on; and how little it then insists on it."""
+INDICATOR = "rail_sumo.indicator"
+"""The parameter of a host's vehicle by which others know to which side it must leave its lane, as by its indicator."""
 UNSURE_MPS = 0.5
 """By how much speeds change within a step, at most."""
 SUMO_CHANGES_LANES = 1621
@@ -97,6 +99,7 @@ class Host:
         self._speed_factor: float | None = None  # that SUMO's own driver was last told; None where SUMO keeps its own
         self._set_mps = self._told_mps = 0.0  # the set speed, and the speed that SUMO was told
         self._lets_in: list[int] = []  # on which sides somebody must come into its lane
+        self._indicates = 0  # to which side it must leave its own
         self._leader: Leader | None = None
         self._leader_name = ""
         self._leader_speeds_mps: deque[float] = deque(maxlen=round(0.5 / SECONDS_PER_STEP) + 1)
@@ -176,6 +179,7 @@ class Host:
         If it is faster, it stays so: SUMO would brake it hard, and it leaves the road soon.
         """
         self._ask(0)
+        libsumo.vehicle.setParameter(self.name, INDICATOR, "0")
         vehicle, speed_mps = libsumo.vehicle, libsumo.vehicle.getSpeed(self.name)
         vehicle.setType(self.name, kind)
         faster = speed_mps / self.limit_mps if vehicle.getLaneID(self.name) else 0.0  # unless it parks
@@ -337,6 +341,9 @@ class Host:
             self.junctions.heed_signals(self.speeds_mps[-1])
             self._be_gentle(self.junctions.is_slow_at_line(self.speeds_mps[-1]))
         self._set_mps = command.speed_mps
+        if command.asks != self._indicates:
+            self._indicates = command.asks
+            vehicle.setParameter(self.name, INDICATOR, str(command.asks))
         if command.asks or self._asks:
             self._ask(command.asks)
         if command.cross:
@@ -426,9 +433,10 @@ class Host:
         found = self._neighbours.ahead(side)
         if found is None:
             return None
-        means = libsumo.vehicle.getLaneChangeState(found[0], -side)[0]
-        must = (LCA_RIGHT if side > 0 else LCA_LEFT) | (0 if _asks(found[0]) else LCA_STRATEGIC)
-        return found if means & must == must else None
+        if _indicates(found[0], -side):
+            return found
+        must = (LCA_RIGHT if side > 0 else LCA_LEFT) | LCA_STRATEGIC
+        return found if libsumo.vehicle.getLaneChangeState(found[0], -side)[0] & must == must else None
 
     def _letting_in_mps(self, side: int) -> float:
         found = self._who_must_come(side)
@@ -436,7 +444,9 @@ class Host:
             return math.inf
         name, gap_m = found
         other = Leader(gap_m, libsumo.vehicle.getSpeed(name))
-        stands_in_m = to_lane_end_m(name) - (stands_before_m(RIGHT if side > 0 else LEFT) if _asks(name) else 0.0)
+        stands_in_m = to_lane_end_m(name) - (
+            stands_before_m(RIGHT if side > 0 else LEFT) if _indicates(name, -side) else 0.0
+        )
         return acc.letting_in_mps(self.speeds_mps[-1], other, max(stands_in_m, 0.0), self._adas)
 
     def _brace(self, speed_mps: float) -> None:
@@ -532,6 +542,6 @@ class Host:
         return self._cut_ins.hard_brakings
 
 
-def _asks(name: str) -> bool:
-    """Whether a vehicle is a host that asks to be let in."""
-    return libsumo.vehicle.getLaneChangeMode(name) == ASKS
+def _indicates(name: str, side: int) -> bool:
+    """Whether a vehicle is a host that must leave its lane to a side."""
+    return libsumo.vehicle.getParameter(name, INDICATOR) == str(side)
