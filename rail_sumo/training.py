@@ -95,7 +95,7 @@ def doubts(config: Config, demonstrations: Demonstrations) -> Iterator[str]:
 
 
 def other_expert(config: Config, compares: str = "the table at the end compares with") -> Iterator[str]:
-    """Tell whom demonstrations are of, and whom figures compare with, unless the expert is known to be both.
+    """Tell whose the demonstrations are and which driver figures compare with, unless it is the expert for certain.
 
     Args:
         config: names the demonstrations and the expert.

@@ -393,13 +393,17 @@ def test_a_missing_file_is_named_in_one_line(trained, small, file):
         roster.find_driver(str(trained), small)
 
 
-def test_a_policy_of_another_shape_is_damaged(trained, small):
-    path = trained / POLICY
+def replace_theta(path, change):
+    """Change the parameters in a policy's file, which then has no SHA-256, as one of an earlier version."""
     with safe_open(path, framework="numpy") as file:
         about = json.loads(file.metadata()["rail_sumo"])
-    about.pop("sha256")  # as in a file of an earlier version
+    about.pop("sha256")
     tensors = load_file(path)
-    save_file(tensors | {"theta": tensors["theta"][:-1]}, path, metadata={"rail_sumo": json.dumps(about)})
+    save_file(tensors | {"theta": change(tensors["theta"])}, path, metadata={"rail_sumo": json.dumps(about)})
+
+
+def test_a_policy_of_another_shape_is_damaged(trained, small):
+    replace_theta(trained / POLICY, lambda theta: theta[:-1])
     with pytest.raises(InputError, match=r"damaged \(ValueError: theta must have shape"):
         roster.find_driver(str(trained), small)
 
@@ -962,12 +966,7 @@ def test_what_a_learner_yields_that_cannot_drive_is_refused_at_once(small, drive
 
 
 def test_a_policy_whose_parameters_are_not_finite_is_not_loaded(trained, small):
-    path = trained / POLICY
-    with safe_open(path, framework="numpy") as file:
-        about = json.loads(file.metadata()["rail_sumo"])
-    about.pop("sha256")  # as in a file of an earlier version
-    tensors = load_file(path)
-    save_file(tensors | {"theta": np.full_like(tensors["theta"], np.nan)}, path, {"rail_sumo": json.dumps(about)})
+    replace_theta(trained / POLICY, lambda theta: np.full_like(theta, np.nan))
     with pytest.raises(InputError, match=r"damaged \(ValueError: theta must be finite; 47 of 47 values are not\)"):
         roster.find_driver(str(trained), small)
 

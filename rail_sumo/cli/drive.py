@@ -78,11 +78,12 @@ def evaluate(
     n_workers = workers_of(workers)
     world, who, doubts = _found(policies, overrides_of(network, routes, overrides), config_path)
 
+    known = [*unused_of(network), *doubts]  # before it is driven: files may change meanwhile
+
     def keep(tables: "Tables", whole: Path, **more: str) -> None:
         tables.save(whole)
         learned = {policy: roster.content_of(policy, world) for policy in policies}
-        notes = [*unused_of(network), *doubts, *bars.notes]
-        notes += [*report.cut_short(tables.episodes), *report.alike(tables.episodes)]
+        notes = [*known, *bars.notes, *report.cut_short(tables.episodes), *report.alike(tables.episodes)]
         run.describe(whole, world, typed(), seed=seed, episodes=episodes, drivers=learned, notes=notes, **more)
 
     try:

@@ -366,9 +366,12 @@ def _leads_on(host: HostState, lane: int) -> bool:
 
 def _way_on(host: HostState) -> Side | None:
     """Return the side of the nearest lane that leads on, if the host must leave its own for it by now."""
-    if _leads_on(host, host.lane):
+    if math.isinf(host.ends_in_m(host.lane)):
         return None
-    return LEFT if min(_goals(host), key=lambda lane: abs(lane - host.lane)) > host.lane else RIGHT
+    goals = _goals(host)
+    if host.lane in goals:
+        return None
+    return LEFT if min(goals, key=lambda lane: abs(lane - host.lane)) > host.lane else RIGHT
 
 
 def _gap_needed(speed_mps: float, leader_mps: float, time_gap_s: float, braking_mps2: float) -> float:

@@ -10,7 +10,7 @@ from rail_sumo import config
 from rail_sumo.errors import InputError
 from rail_sumo.highway import acc, neighbours
 from rail_sumo.highway.acc import Leader
-from rail_sumo.highway.adas import LEFT, RIGHT, stands_before_m
+from rail_sumo.highway.adas import LEFT, RIGHT, Side, stands_before_m
 from rail_sumo.highway.cut_ins import CutIns
 from rail_sumo.highway.junctions import SUMO_SPEED_MODE, Junctions
 from rail_sumo.highway.names import HOST
@@ -44,8 +44,8 @@ GENTLE_MPS2 = 3.0
 """How hard SUMO may brake the host for who comes first, where it is slow and near the line."""
 EXPECTED_BRAKING_MPS2 = 4.5
 """The braking that other vehicles expect of the host."""
-LCA_LEFT, LCA_RIGHT, LCA_STRATEGIC = 2, 4, 8
-"""SUMO's bits of what a vehicle's lane changer means to do, and that it must."""
+MUST_CHANGE = {LEFT: 2 | 8, RIGHT: 4 | 8}
+"""SUMO's bits of what a vehicle's lane changer means to do: to change to a side, since its lane does not lead on."""
 EDGES_PER_STEP = 10
 """Onto no more edges than these, junctions' insides included, does a vehicle come within a step."""
 SLACK_M = 100.0
@@ -98,7 +98,7 @@ class Host:
         self._sumo_drives = False
         self._speed_factor: float | None = None  # that SUMO's own driver was last told; None where SUMO keeps its own
         self._set_mps = self._told_mps = 0.0  # the set speed, and the speed that SUMO was told
-        self._lets_in: list[int] = []  # on which sides somebody must come into its lane
+        self._lets_in: list[Side] = []  # on which sides somebody must come into its lane
         self._indicates = 0  # to which side it must leave its own
         self._leader: Leader | None = None
         self._leader_name = ""
@@ -179,7 +179,7 @@ class Host:
         If it is faster, it stays so: SUMO would brake it hard, and it leaves the road soon.
         """
         self._ask(0)
-        libsumo.vehicle.setParameter(self.name, INDICATOR, "0")
+        self._indicate(0)
         vehicle, speed_mps = libsumo.vehicle, libsumo.vehicle.getSpeed(self.name)
         vehicle.setType(self.name, kind)
         faster = speed_mps / self.limit_mps if vehicle.getLaneID(self.name) else 0.0  # unless it parks
@@ -341,9 +341,7 @@ class Host:
             self.junctions.heed_signals(self.speeds_mps[-1])
             self._be_gentle(self.junctions.is_slow_at_line(self.speeds_mps[-1]))
         self._set_mps = command.speed_mps
-        if command.asks != self._indicates:
-            self._indicates = command.asks
-            vehicle.setParameter(self.name, INDICATOR, str(command.asks))
+        self._indicate(command.asks)
         if command.asks or self._asks:
             self._ask(command.asks)
         if command.cross:
@@ -354,6 +352,12 @@ class Host:
         if command.lateral_m != self._lateral_m:
             vehicle.setLateralLanePosition(self.name, command.lateral_m)
             self._lateral_m = command.lateral_m
+
+    def _indicate(self, side: int) -> None:
+        """Let other hosts know to which side it must leave its lane; 0: to none."""
+        if side != self._indicates:
+            self._indicates = side
+            libsumo.vehicle.setParameter(self.name, INDICATOR, str(side))
 
     def _ask(self, side: int) -> None:
         """Have SUMO's drivers in the lane on a side let the host in, as they do each other; 0: no longer.
@@ -426,28 +430,29 @@ class Host:
 
     def heed(self) -> None:
         """Notice on which sides somebody ahead must come into its lane; until it looks again, it lets them in."""
-        self._lets_in = [side for side in (1, -1) if self._who_must_come(side)]
+        self._lets_in = [side for side in (LEFT, RIGHT) if self._who_must_come(side)]
 
-    def _who_must_come(self, side: int) -> tuple[str, float] | None:
-        """Return who is next ahead in the lane on a side, and the gap to it, if it must come into the host's lane."""
-        found = self._neighbours.ahead(side)
+    def _who_must_come(self, side: Side) -> tuple[Leader, float] | None:
+        """Return who is next ahead in the lane on a side, if it must come into the host's lane; how far on it stands.
+
+        A host stands as far before the end of its lane as this one would, SUMO's vehicles at the end.
+        """
+        found, vehicle = self._neighbours.ahead(side), libsumo.vehicle
         if found is None:
             return None
-        if _indicates(found[0], -side):
-            return found
-        must = (LCA_RIGHT if side > 0 else LCA_LEFT) | LCA_STRATEGIC
-        return found if libsumo.vehicle.getLaneChangeState(found[0], -side)[0] & must == must else None
-
-    def _letting_in_mps(self, side: int) -> float:
-        found = self._who_must_come(side)
-        if found is None:
-            return math.inf
         name, gap_m = found
-        other = Leader(gap_m, libsumo.vehicle.getSpeed(name))
-        stands_in_m = to_lane_end_m(name) - (
-            stands_before_m(RIGHT if side > 0 else LEFT) if _indicates(name, -side) else 0.0
-        )
-        return acc.letting_in_mps(self.speeds_mps[-1], other, max(stands_in_m, 0.0), self._adas)
+        towards: Side = RIGHT if side == LEFT else LEFT
+        if vehicle.getParameter(name, INDICATOR) == str(towards):
+            before_m = stands_before_m(towards)
+        elif vehicle.getLaneChangeState(name, towards)[0] & MUST_CHANGE[towards] == MUST_CHANGE[towards]:
+            before_m = 0.0
+        else:
+            return None
+        return Leader(gap_m, vehicle.getSpeed(name)), max(to_lane_end_m(name) - before_m, 0.0)
+
+    def _letting_in_mps(self, side: Side) -> float:
+        found = self._who_must_come(side)
+        return math.inf if found is None else acc.letting_in_mps(self.speeds_mps[-1], *found, self._adas)
 
     def _brace(self, speed_mps: float) -> None:
         """Have SUMO brake as hard as it may, where it takes more than others expect of the host.
@@ -540,8 +545,3 @@ class Host:
     def hard_brakings_behind(self) -> int:
         """How often vehicles braked hard within 5 s of the host's moving in front of them."""
         return self._cut_ins.hard_brakings
-
-
-def _indicates(name: str, side: int) -> bool:
-    """Whether a vehicle is a host that must leave its lane to a side."""
-    return libsumo.vehicle.getParameter(name, INDICATOR) == str(side)

@@ -85,7 +85,7 @@ def check(world: Config, *, seed: int = 0) -> Findings:
         seed: of the traffic.
 
     Raises:
-        InputError: it cannot be driven; what is told of the demand, which may be why, follows.
+        InputError: it cannot be driven. Warnings about the demand follow, since they may say why.
     """
     env = HighwayEnv(world, companions=lambda vehicle: lambda observation, agent: MetaAction.KEEP)
     try:
