@@ -6,7 +6,9 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from rail_sumo import config
-from rail_sumo.highway.adas import MAKES_WAY_M, Adas, HandsOff, slowed_for
+from rail_sumo.highway.adas import Adas, HandsOff, slowed_for
+from rail_sumo.highway.lane_ends import LEFT as TO_LEFT
+from rail_sumo.highway.lane_ends import STANDS_BEFORE_M
 from rail_sumo.records import KMH, SECONDS_PER_STEP, SUMO_DECIDES, Gaps, HostState, MetaAction
 
 KEEP, ACCELERATE, DECELERATE, LEFT, RIGHT = MetaAction
@@ -628,7 +630,7 @@ def test_nobody_falls_in_where_the_lane_leads_on_or_the_change_is_over_the_borde
 
 def test_far_from_its_lanes_end_the_host_does_not_wait_beside_a_queue(adas):
     """It would hold up those behind it; sqrt(2 * 0.2 * 280) is 10.6 m/s."""
-    far = at(lane=0, speed_mps=10.0, to_edge_end_m=280.0 + MAKES_WAY_M, leads_on_m=ending(0))
+    far = at(lane=0, speed_mps=10.0, to_edge_end_m=280.0 + STANDS_BEFORE_M[TO_LEFT], leads_on_m=ending(0))
     near = far._replace(to_edge_end_m=60.0)
     assert go_on(adas, far, beside(2.0, 0.0)).speed_mps > 10.0
     assert go_on(adas, near, beside(2.0, 0.0)).speed_mps < 10.0

@@ -5,13 +5,14 @@ Following the vehicle ahead is adaptive cruise control (`acc`), which acts at ev
 """
 
 import math
-from collections.abc import Callable, Mapping
+from collections.abc import Callable
 from typing import Literal
 
 from rail_sumo import config
 from rail_sumo.film import Why
-from rail_sumo.highway import acc
+from rail_sumo.highway import acc, lane_ends
 from rail_sumo.highway.hard_braking import HARD_MPS2
+from rail_sumo.highway.lane_ends import LEFT, RIGHT, Side
 from rail_sumo.records import KMH, SECONDS_PER_STEP, SUMO_DECIDES, Command, Gaps, HostState, MetaAction
 
 LATE_LATERAL_M = 0.25
@@ -22,24 +23,13 @@ FOLLOWER_TIME_GAP_S = 0.5
 GATE_BRAKING_MPS2 = HARD_MPS2
 """The hardest braking that a lane change may cost the host behind its new leader, or its new follower."""
 
-LEAVE_LANE_M = 300.0
-"""How far before its end the host leaves a lane that does not lead on along its course, for each lane to cross."""
 EASY_MPS2 = 0.2
 """How gently braking to the end of such a lane would be, at the lowest speed to which the host slows for a gap beside:
 far from the end it may find another, and would hold up those behind it for nothing."""
-LANE_END_SHORT_M = 2.5
-"""How far before the end of such a lane the host stands. SUMO stands closer to it, and brakes for that harder."""
-MAKES_WAY_M = 20.0
-"""The same where it must leave it to the left. Where lanes part, each of two side by side may have to go where the
-other is: this one stands back, and the other passes it. SUMO's lane changer keeps such room too (blocker length)."""
 ROUNDED = 1.0001
 """By how much SUMO's own driver may be faster than is allowed: networks tell 80 km/h as 22.2222 m/s."""
 TOUCH_M = 0.01
 """A place nearer than this counts as reached."""
-
-Side = Literal[-1, 1]
-LEFT: Side = 1
-RIGHT: Side = -1
 
 
 class Adas:
@@ -144,7 +134,7 @@ class Adas:
             self.lane_changes = self.lane_changes_by_now(host.sumos_lane_changes)
             self._sumos_lane_changes = host.sumos_lane_changes
             self._side = None  # a change under way is over then
-        way_on = _way_on(host)
+        way_on = lane_ends.way_on(host)
         if way_on is not None and self._side is None and self._open(way_on, host, gaps):
             self._begin(way_on, host)
         set_speed = self.set_mps(host.limit_mps)
@@ -169,7 +159,7 @@ class Adas:
         if math.isinf(beside.ahead_m):
             return math.inf
         ahead = acc.Leader(beside.ahead_m, beside.ahead_speed_mps)
-        slowest = math.sqrt(2 * EASY_MPS2 * max(_stands_in_m(host), 0.0))
+        slowest = math.sqrt(2 * EASY_MPS2 * max(lane_ends.stands_in_m(host), 0.0))
         return max(acc.falling_in_mps(host.speed_mps, ahead, self._config), slowest)
 
     def lane_changes_by_now(self, sumos: int) -> int:
@@ -210,7 +200,7 @@ class Adas:
             return "line" if host.rightmost_lane <= host.lane + side <= host.leftmost_lane else "no lane"
         if not self._has_room(host, side):
             return "room"
-        if not _leads_on(host, host.lane + side) and side != _way_on(host):
+        if not lane_ends.leads_on(host, host.lane + side) and side != lane_ends.way_on(host):
             return "lane ends"
         return "" if self._safe(host.speed_mps, gaps(side)) else "gap"
 
@@ -218,7 +208,7 @@ class Adas:
         """Whether the change under way may be reversed by a decision: not into a lane that must be left by now."""
         assert self._side is not None
         if not self._crossed:
-            return _way_on(host) != self._side
+            return lane_ends.way_on(host) != self._side
         return self._open(LEFT if self._side == RIGHT else RIGHT, host, gaps)
 
     def _has_room(self, host: HostState, side: Side) -> bool:
@@ -290,31 +280,10 @@ def _within_limits(speed_mps: float, host: HostState, config: config.Adas, *, st
     allowed = min(speed_mps, _approaching(host.limit_mps, host, 0.0, travel_m, comfort))
     for beyond_m, limit in host.limits_ahead:
         allowed = min(allowed, _approaching(limit, host, host.to_edge_end_m + beyond_m, travel_m, comfort))
-    for ahead_m, slow in (*host.stops_ahead, *_lane_end(host)):
+    for ahead_m, slow in (*host.stops_ahead, (lane_ends.stands_in_m(host), 0.0)):
         it_takes = (host.speed_mps**2 - slow**2) / (2 * max(ahead_m, TOUCH_M))
         allowed = min(allowed, _approaching(slow, host, ahead_m, travel_m, min(max(it_takes, comfort), hardest)))
     return allowed
-
-
-def _lane_end(host: HostState) -> tuple[tuple[float, float], ...]:
-    stands_in_m = _stands_in_m(host)
-    return () if math.isinf(stands_in_m) else ((stands_in_m, 0.0),)
-
-
-def _stands_in_m(host: HostState) -> float:
-    """Return how far ahead the host would have to stand before the end of its lane; inf if that leads on."""
-    lane_ends_in_m = host.ends_in_m(host.lane)
-    if math.isinf(lane_ends_in_m):
-        return math.inf
-    lanes = range(host.rightmost_lane, host.leftmost_lane + 1)
-    farther = [lane for lane in lanes if host.ends_in_m(lane) > lane_ends_in_m]
-    goes_left = min(farther, key=lambda lane: abs(lane - host.lane), default=host.lane) > host.lane
-    return lane_ends_in_m - stands_before_m(LEFT if goes_left else RIGHT)
-
-
-def stands_before_m(side: Side) -> float:
-    """Return how far before the end of a lane that it must leave to a side a vehicle stands."""
-    return MAKES_WAY_M if side == LEFT else LANE_END_SHORT_M
 
 
 def slowed_for(host: HostState, config: config.Adas, speed_mps: float) -> Literal["limit", "stop", "lane end"]:
@@ -342,36 +311,6 @@ def _approaching(limit_mps: float, host: HostState, ahead_m: float, travel_m: fl
 def _across(host: HostState, side: Side) -> float:
     """Return the lateral distance from the centre of the host's lane to that of the next, in metres."""
     return host.to_left_m if side == LEFT else host.to_right_m
-
-
-def lanes_leading_on(ends_in_m: Mapping[int, float]) -> list[int]:
-    """Return the lanes that nobody need leave by now; where all end soon, those that lead on farthest.
-
-    A lane need be left the earlier, the more lanes there are to cross to one of those.
-    """
-    farthest_m = max(ends_in_m.values())
-    best = [lane for lane, metres in ends_in_m.items() if metres == farthest_m]
-    to_cross = {lane: min(abs(lane - other) for other in best) for lane in ends_in_m}
-    return [lane for lane, metres in ends_in_m.items() if metres >= min(to_cross[lane] * LEAVE_LANE_M, farthest_m)]
-
-
-def _goals(host: HostState) -> list[int]:
-    """Return the lanes of the host's edge that it need not leave by now."""
-    return lanes_leading_on({lane: host.ends_in_m(lane) for lane in range(host.rightmost_lane, host.leftmost_lane + 1)})
-
-
-def _leads_on(host: HostState, lane: int) -> bool:
-    return math.isinf(host.ends_in_m(lane)) or lane in _goals(host)
-
-
-def _way_on(host: HostState) -> Side | None:
-    """Return the side of the nearest lane that leads on, if the host must leave its own for it by now."""
-    if math.isinf(host.ends_in_m(host.lane)):
-        return None
-    goals = _goals(host)
-    if host.lane in goals:
-        return None
-    return LEFT if min(goals, key=lambda lane: abs(lane - host.lane)) > host.lane else RIGHT
 
 
 def _gap_needed(speed_mps: float, leader_mps: float, time_gap_s: float, braking_mps2: float) -> float:

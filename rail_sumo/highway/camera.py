@@ -9,8 +9,9 @@ import numpy as np
 
 from rail_sumo.film import Decision, Driven, Film, Ground, Holding, Mark, MarkKind, Stays, Vehicle
 from rail_sumo.highway import hard_braking
-from rail_sumo.highway.adas import LEFT, slowed_for
+from rail_sumo.highway.adas import slowed_for
 from rail_sumo.highway.env import HighwayEnv
+from rail_sumo.highway.lane_ends import LEFT
 from rail_sumo.highway.simulation import Simulation
 from rail_sumo.records import SECONDS_PER_STEP, Floats, MetaAction, Trajectory
 

@@ -13,8 +13,7 @@ from numpy.typing import NDArray
 from rail_sumo import assets
 from rail_sumo.config import FASTEST_CAR_MPS, Config
 from rail_sumo.errors import InputError, did_you_mean
-from rail_sumo.highway import drawing, entry, sumo_process, varied, window
-from rail_sumo.highway.adas import lanes_leading_on
+from rail_sumo.highway import drawing, entry, lane_ends, sumo_process, varied, window
 from rail_sumo.highway.agent import Agent
 from rail_sumo.highway.companions import Companions
 from rail_sumo.highway.network import demand, markings, road
@@ -173,7 +172,7 @@ class HighwayEnv(gymnasium.Env[Floats, np.int64]):
         assert place is not None  # or nothing were drivable
         simulation.lay_course(stretch.road, adas, sees_m=stretch.sees_m, shares_type=traffic.driven > 0)
         edge = stretch.road.edges[place[0]]
-        lanes = lanes_leading_on(edge.ends_in_m(place[1]))
+        lanes = lane_ends.leading_on(edge.ends_in_m(place[1]))
         lane = lanes[int(rng.integers(len(lanes)))]
         has_traffic = self.demand.has_traffic
         if has_traffic:

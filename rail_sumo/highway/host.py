@@ -10,9 +10,9 @@ from rail_sumo import config
 from rail_sumo.errors import InputError
 from rail_sumo.highway import acc, neighbours
 from rail_sumo.highway.acc import Leader
-from rail_sumo.highway.adas import LEFT, RIGHT, Side, stands_before_m
 from rail_sumo.highway.cut_ins import CutIns
 from rail_sumo.highway.junctions import SUMO_SPEED_MODE, Junctions
+from rail_sumo.highway.lane_ends import LEFT, RIGHT, STANDS_BEFORE_M, Side
 from rail_sumo.highway.names import HOST
 from rail_sumo.highway.neighbours import Neighbours
 from rail_sumo.highway.network.road import Road
@@ -443,7 +443,7 @@ class Host:
         name, gap_m = found
         towards: Side = RIGHT if side == LEFT else LEFT
         if vehicle.getParameter(name, INDICATOR) == str(towards):
-            before_m = stands_before_m(towards)
+            before_m = STANDS_BEFORE_M[towards]
         elif vehicle.getLaneChangeState(name, towards)[0] & MUST_CHANGE[towards] == MUST_CHANGE[towards]:
             before_m = 0.0
         else:
