@@ -564,6 +564,31 @@ def test_a_host_that_is_taken_off_the_road_is_told_in_one_line(make, tmp_path, b
         drive(make(world(**ring | {"traffic": EMPTY | {"additional": [str(path)]}})), always(KEEP))
 
 
+def test_a_host_of_the_demand_follows_the_route_that_it_is_given_on_its_way(make, tmp_path):
+    """A rerouter on `merge1` has it leave by the exit, where as it entered it drove on along the motorway."""
+    routes, rerouter = tmp_path / "one.rou.xml", tmp_path / "off.add.xml"
+    routes.write_text(
+        '<routes><vType id="car" sigma="0"/><route id="r" edges="main1 merge1 main2 diverge main3"/>'
+        '<vehicle id="one" type="car" route="r" depart="0" departLane="1" departSpeed="max"/></routes>'
+    )
+    rerouter.write_text(
+        '<additional><rerouter id="r" edges="merge1"><interval begin="0" end="9999">'
+        '<destProbReroute id="off"/></interval></rerouter></additional>'
+    )
+    traffic = {"routes": [str(routes)], "additional": [str(rerouter)], "host": "one"}
+    endless = {"course_m": 9999.0, "duration_s": 999.0}
+    env = make(world(network={"file": "onramp", "course": ["main1"]}, traffic=traffic, episode=endless))
+    driven = drive(env, always(KEEP))
+    assert env.agent.stretch.road.edges[-1].id == "off"
+    assert driven.end_reason == "end of road"
+    # To where it looks for the last time on `off`, as far before its end as its highest speed there asks for.
+    whole_m = sum(env.stretch.road.edge_of[name].length_m for name in ("main1", "merge1", "main2", "diverge"))
+    assert whole_m + 200.0 < driven.distance_m < whole_m + 370.0
+    assert driven.speed_mps[-1] <= 22.3
+    assert driven.lane_changes == 2
+    assert driven.collisions == 0
+
+
 def test_a_demand_that_begins_later_needs_to_be_told_when(make, tmp_path):
     late = tmp_path / "late.rou.xml"
     late.write_text(

@@ -253,6 +253,23 @@ def test_its_lane_changes_are_the_single_hosts_step_for_step(make):
     assert found.distance_m == expected.distance_m
 
 
+def test_an_agent_follows_the_route_that_it_is_given_on_its_way(make, tmp_path):
+    routes, rerouter = tmp_path / "one.rou.xml", tmp_path / "off.add.xml"
+    routes.write_text(
+        '<routes><vType id="car" sigma="0"/><route id="r" edges="main1 merge1 main2 diverge main3"/>'
+        '<vehicle id="one" type="car" route="r" depart="1" departLane="0" departSpeed="max"/></routes>'
+    )
+    rerouter.write_text(
+        '<additional><rerouter id="r" edges="merge1"><interval begin="0" end="9999">'
+        '<destProbReroute id="off"/></interval></rerouter></additional>'
+    )
+    traffic = {"routes": [str(routes)], "additional": [str(rerouter)], "entry_within_s": 0.0, "warm_up_s": 0.0}
+    env = make(1, {"network": {"file": "onramp"}, "traffic": traffic, "episode": {"course_m": 9999.0}})
+    told = [infos["host_0"] for *_, infos in drive(env, SEED, lambda name, info, rng: KEEP) if infos]
+    assert told[-1]["end_reason"] == "end of road"
+    assert 2200.0 < told[-1]["distance_m"] < 2600.0, "short of the end of the exit"
+
+
 # The same seed, the same bits.
 
 

@@ -2,6 +2,7 @@
 
 import math
 import sys
+from dataclasses import replace
 from functools import lru_cache
 from statistics import fmean
 from typing import Any
@@ -116,6 +117,18 @@ class Agent:
         limit_mps = self.stretch.road.edges[place[0]].limit_mps
         start_mps = adas.clipped_mps(adas.start_mps(limit_mps), limit_mps)
         return max(start_mps, self.host.speeds_mps[0]) if enters_as_traffic else start_mps
+
+    def follow(self, stretch: Stretch) -> None:
+        """Drive another course from where it is; its set speed and a lane change under way are kept.
+
+        Args:
+            stretch: the course, from the place where its vehicle is now.
+        """
+        self.stretch = replace(stretch, start_m=stretch.start_m - self.host.travelled_m)  # as if it had come from there
+        self.host.follow(stretch.road)
+        self.lidar = _lidar(self._world.lidar, stretch.road)
+        self._state = self._mask = self.end = None
+        self._gaps = {}
 
     # Between two decisions.
 

@@ -65,7 +65,7 @@ class Companions:
             # As a car of the window it is of a type of its own, which has its desired speed.
             common = replace(car, kind=car.kind.partition("@")[0], fastest_mps=FASTEST_CAR_MPS)
             stretch = replace(self._stretch, start_m=self._window.start_m[car.name])
-            self._rides.enter(common, stretch, self._driver(car.name))
+            self._rides.enter(common, self._driver(car.name), stretch=stretch)
 
     @property
     def names(self) -> list[str]:

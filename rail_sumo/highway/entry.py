@@ -96,6 +96,7 @@ def replaceable(
         if car.vclass not in kinds if drawn else car.name != traffic.host:
             continue
         try:
+            require_along_course(car, config)
             stretch = stretch_of(car, config)
         except CourseError as error:  # too short, not on lanes that the host may use, or not at the speeds it may
             if not drawn:
@@ -104,6 +105,15 @@ def replaceable(
             continue
         if not drawn or waited_s >= CHOOSY_S or stretch.drivable_m >= traffic.shortest_route_m:
             yield car, stretch
+
+
+def require_along_course(car: Inserted, config: Config) -> None:
+    """Raise CourseError if a vehicle's route does not lead along `network.course`."""
+    ahead = iter(_until_repeated(car.edges))
+    if not all(edge in ahead for edge in config.network.course):  # in this order, with others in between
+        raise CourseError(
+            f"vehicle '{car.name}' does not drive over the edges of network.course in their order; name others"
+        )
 
 
 def stretch_of(car: Inserted, config: Config, *, to_its_end: bool = False) -> Stretch:
@@ -115,17 +125,16 @@ def stretch_of(car: Inserted, config: Config, *, to_its_end: bool = False) -> St
         to_its_end: whether a route that comes over none again is driven until the vehicle arrives.
 
     Raises:
-        CourseError: it could not be driven, or does not lead along `network.course`.
+        CourseError: it could not be driven.
         InputError: the network cannot be read.
     """
-    edges = car.edges[: next((k for k, edge in enumerate(car.edges) if edge in car.edges[:k]), len(car.edges))]
-    ahead = iter(edges)
-    if not all(edge in ahead for edge in config.network.course):  # in this order, with others in between
-        raise CourseError(
-            f"vehicle '{car.name}' does not drive over the edges of network.course in their order; name others"
-        )
+    edges = _until_repeated(car.edges)
     course = road.load(config.network.file, edges, vclass=car.vclass, limit_factor=config.network.limit_factor)
     return Stretch.along(course, config, car.front_m, to_its_end=to_its_end and len(edges) == len(car.edges))
+
+
+def _until_repeated(edges: tuple[str, ...]) -> tuple[str, ...]:
+    return edges[: next((k for k, edge in enumerate(edges) if edge in edges[:k]), len(edges))]
 
 
 def nobody(config: Config, demand: Demand, refused: Sequence[str], now_s: float) -> str:

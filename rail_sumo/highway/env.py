@@ -18,7 +18,7 @@ from rail_sumo.highway.agent import Agent
 from rail_sumo.highway.companions import Companions
 from rail_sumo.highway.network import demand, markings, road
 from rail_sumo.highway.observation import bounds
-from rail_sumo.highway.rides import Decide
+from rail_sumo.highway.rides import Decide, follow_route
 from rail_sumo.highway.simulation import HOST, Simulation
 from rail_sumo.highway.stretch import Stretch
 from rail_sumo.highway.traffic import MovingWindow
@@ -243,6 +243,8 @@ class HighwayEnv(gymnasium.Env[Floats, np.int64]):
     def _look(self, driven: int) -> Floats:
         """Sense, check whether the episode is over, and replace vehicles that left the window."""
         assert self._simulation is not None
+        if self.is_one_of_the_demand and self.agent.host.is_rerouted:
+            follow_route(self.agent, self._simulation, self.world)
         observation = self.agent.look(self._simulation.scene())
         traffic = self.companions or self._traffic
         if traffic is not None:
@@ -340,7 +342,7 @@ class HighwayEnv(gymnasium.Env[Floats, np.int64]):
     def _frame(self) -> NDArray[np.uint8]:
         if self._agent is None:
             raise RuntimeError("there is nothing to show yet; call reset()")
-        agent, course = self._agent, self.stretch.road
+        agent, course = self._agent, self._agent.stretch.road
         if self._picture is None:
             self._picture = drawing.Picture(FRAME_PX, VIEW, (0.0, min(course.highest_limit_mps, FASTEST_CAR_MPS) * KMH))
         moment = drawing.Moment(

@@ -4,8 +4,7 @@ import hashlib
 import math
 import shlex
 from collections.abc import Callable, Sequence
-from contextlib import suppress
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import Literal
 
 from rail_sumo import assets
@@ -17,7 +16,6 @@ from rail_sumo.highway.network import demand, road
 from rail_sumo.highway.network.demand import Demand
 from rail_sumo.highway.rides import Decide, Ride, Rides
 from rail_sumo.highway.simulation import Simulation, options_of
-from rail_sumo.highway.stretch import Stretch
 from rail_sumo.records import SECONDS_PER_STEP, Lane
 
 Instead = Literal["nothing", "acc"]
@@ -126,7 +124,7 @@ class Fleet:
             limit_factor=self.world.network.limit_factor,
         ) as simulation:
             self.lanes = simulation.lanes()
-            everybody = Rides(simulation, self._world, keeps_trajectory=False)
+            everybody = Rides(simulation, self._world, keeps_trajectory=False, until_arrival=True)
             for number in range(round((until_s - begin_s) / SECONDS_PER_STEP)):
                 self._step(simulation, everybody)
                 if number % round(1.0 / SECONDS_PER_STEP) == 0:
@@ -139,8 +137,6 @@ class Fleet:
     def _step(self, simulation: Simulation, everybody: Rides) -> None:
         for gone in everybody.drive():
             self._count(gone)
-            if gone.agent.end == "end of road":
-                self._go_on(simulation, everybody, gone)
         self.teleported += [(simulation.now_s, name) for name in simulation.teleporting()]
         for car in simulation.departed():
             self.inserted[car.name] = car
@@ -163,23 +159,12 @@ class Fleet:
             self.driven.add(car.name)
             return
         try:
-            everybody.enter(car, self._stretch_of(car), self.driver(car.name))
+            entry.require_along_course(car, self._world)
+            everybody.enter(car, self.driver(car.name))
         except CourseError as error:  # too short, or not on lanes that a host may use
             self.undriven[car.name] = str(error)
             return
         self.driven.add(car.name)
-
-    def _go_on(self, simulation: Simulation, everybody: Rides, gone: Ride) -> None:
-        """Take a vehicle over again where its route goes on: its course ended where the route repeats an edge."""
-        car = self.inserted[gone.agent.host.name]
-        now = simulation.seen(car.name)
-        if now is not None and len(now.edges) > 1:
-            here = replace(car, edges=now.edges, lane=now.lane, front_m=now.front_m, speed_mps=now.speed_mps)
-            with suppress(CourseError):  # then SUMO drives it on
-                everybody.enter(here, self._stretch_of(here), gone.decides)
-
-    def _stretch_of(self, car: Inserted) -> Stretch:
-        return entry.stretch_of(car, self._world, to_its_end=True)
 
     def _count(self, ride: Ride) -> None:
         self.contacts += ride.contacts

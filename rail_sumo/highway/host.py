@@ -79,16 +79,14 @@ class Host:
         self._look_around = look_around
         self._claims = claims
         self._adas = adas
-        self.fastest_mps = self.ceiling_mps = adas.highest_mps(road.highest_limit_mps)
-        self._edges = road.edge_of
-        self._joints = road.joints
-        self._next_lanes = road.next_lanes
         self._standstill_gap_m = adas.standstill_gap_m
-        self._sight_m = acc.sight_m(self.fastest_mps, adas)
-        self._neighbours = Neighbours(name, road, sight_m=self._sight_m, standstill_gap_m=adas.standstill_gap_m)
-        to_stop_m = acc.braking_distance_m(self.fastest_mps, adas.comfort_braking_mps2)
-        self.junctions = Junctions(name, road, adas, sees_m=to_stop_m + SLACK_M)
+        self._know(road)
+        self.junctions = Junctions(name, road, adas, sees_m=self._heeds_junctions_m)
         """What it meets at those ahead."""
+        self.ceiling_mps = self.fastest_mps
+        """How fast its vehicle may be: no faster than it can, though its course allows it."""
+        self._can_mps = math.inf
+        self._route = ""  # the id of SUMO's route of it, when its course was laid
         self._before_m = 0.0
         self._lateral_m = 0.0
         self._asks = self._is_gentle = self._is_of_a_demand = self._braces = False
@@ -116,6 +114,17 @@ class Host:
         self.sumos_lane_changes = 0
         """How often SUMO has changed lanes, as its driver or while it asked to be let in."""
         self._equip()
+
+    def _know(self, road: Road) -> None:
+        self.fastest_mps = self._adas.highest_mps(road.highest_limit_mps)
+        """The highest set speed on its course."""
+        self._edges = road.edge_of
+        self._joints = road.joints
+        self._next_lanes = road.next_lanes
+        self._sight_m = acc.sight_m(self.fastest_mps, self._adas)
+        gap_m = self._standstill_gap_m
+        self._neighbours = Neighbours(self.name, road, sight_m=self._sight_m, standstill_gap_m=gap_m)
+        self._heeds_junctions_m = acc.braking_distance_m(self.fastest_mps, self._adas.comfort_braking_mps2) + SLACK_M
 
     def _equip(self) -> None:
         """Give it emergency braking: car-following that brakes safely and never harder than it may.
@@ -153,7 +162,12 @@ class Host:
         self._before_m = libsumo.vehicle.getDistance(self.name)  # where it is not driven for the first time
         self._is_of_a_demand = True
         self._set("Decel", self._hardest_mps2)
-        self.ceiling_mps = max(min(self.fastest_mps, fastest_mps), speed_mps)  # below its speed SUMO would brake hard
+        self._can_mps = fastest_mps
+        self._keep_below_ceiling(speed_mps)
+
+    def _keep_below_ceiling(self, speed_mps: float) -> None:
+        """Have its vehicle be no faster than it can and its course allows; below its speed SUMO would brake hard."""
+        self.ceiling_mps = max(min(self.fastest_mps, self._can_mps), speed_mps)
         self._set("MaxSpeed", self.ceiling_mps)
 
     def _set(self, what: str, value: str | float) -> None:
@@ -170,8 +184,27 @@ class Host:
     def begin(self) -> None:
         """Note when and at which speed the host has entered, and who is ahead."""
         self.depart_s = libsumo.vehicle.getDeparture(self.name)
+        self.note_route()
         self.speeds_mps.append(libsumo.vehicle.getSpeed(self.name))
         self._leader = self._look_ahead()
+
+    @property
+    def is_rerouted(self) -> bool:
+        """Whether SUMO has given it another route since its course was laid."""
+        return libsumo.vehicle.getRouteID(self.name) != self._route
+
+    def note_route(self) -> None:
+        """Note that its course is laid along the route that it has now, as far as it can be."""
+        self._route = libsumo.vehicle.getRouteID(self.name)
+
+    def follow(self, road: Road) -> None:
+        """Drive along another course from where it is."""
+        self._know(road)
+        self.junctions.follow(road, sees_m=self._heeds_junctions_m)
+        if not self.junctions.matter:
+            self._be_gentle(False)
+        if not self._sumo_drives or self._speed_factor is not None:  # else it is of a type of the demand's
+            self._keep_below_ceiling(self.speeds_mps[-1])
 
     def let_go(self, kind: str, *, speed_factor: float) -> None:
         """Be a vehicle of SUMO's again, of a type of the demand's and as fast as it was meant to be.

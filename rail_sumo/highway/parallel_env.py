@@ -203,6 +203,7 @@ class HighwayParallelEnv(ParallelEnv[str, Floats, int]):
     def _drive_a_step(self, simulation: Simulation, steps_left: int) -> None:
         """Drive one step; there are so many more until the agents decide."""
         for name, ride in list(self._live.items()):
+            self._rides.follow_route(ride)
             if ride.agent.host.is_lost or (ride.is_idle and ride.agent.is_spent):
                 self._look_from(simulation, name, ride)
             elif ride.is_idle:
@@ -219,7 +220,7 @@ class HighwayParallelEnv(ParallelEnv[str, Floats, int]):
         departed, config = simulation.departed(), self.config
         for car, stretch in entry.replaceable(departed, config, self._kinds, self._refused, waited_s=waited_s):
             name = self._awaited.pop(0)
-            self._live[name] = self._rides.enter(car, stretch)
+            self._live[name] = self._rides.enter(car, stretch=stretch)
             self._live[name].agent.wait(steps_left)
             self.vehicles[name] = car.name
             self._awaited_from_s, self._awaited_until_s = simulation.now_s, simulation.now_s + entry.WAIT_S

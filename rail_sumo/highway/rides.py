@@ -3,7 +3,8 @@
 from collections.abc import Callable
 
 from rail_sumo.config import Config
-from rail_sumo.errors import InputError
+from rail_sumo.errors import CourseError, InputError
+from rail_sumo.highway import entry
 from rail_sumo.highway.agent import Agent
 from rail_sumo.highway.inserted import Inserted
 from rail_sumo.highway.simulation import Simulation
@@ -24,8 +25,7 @@ class Ride:
 
     def __init__(self, agent: Agent, decide: Decide | None = None) -> None:
         self.agent = agent
-        self.decides = decide
-        """What decides for it."""
+        self._decides = decide
         self.decisions = 0
         """How many have been taken for it."""
         self._ordered = self._driven = 0  # steps of the present command
@@ -51,8 +51,8 @@ class Ride:
 
     def decide(self) -> None:
         """Take a decision for it."""
-        assert self.decides is not None
-        self.agent.decide(MetaAction(self.decides(self.agent.observation, self.agent)))
+        assert self._decides is not None
+        self.agent.decide(MetaAction(self._decides(self.agent.observation, self.agent)))
         self.decisions += 1
 
     def command(self, simulation: Simulation) -> None:
@@ -79,6 +79,28 @@ class Ride:
         self._ordered = self._driven = 0
 
 
+def follow_route(agent: Agent, simulation: Simulation, world: Config, *, until_arrival: bool = False) -> bool:
+    """Lay an agent's course anew along the route that its vehicle has now, and return whether it could be.
+
+    Args:
+        agent: the agent. It keeps its course while its vehicle is within a junction, and where the new one could not be
+            driven.
+        simulation: where it drives.
+        world: how it drives.
+        until_arrival: see `Rides`.
+    """
+    now = simulation.seen(agent.host.name)
+    if now is None:
+        return False
+    agent.host.note_route()
+    try:
+        stretch = entry.stretch_of(now, world, to_its_end=until_arrival)
+    except CourseError:
+        return False
+    agent.follow(stretch)
+    return True
+
+
 class Rides:
     """All driven vehicles of one simulation.
 
@@ -87,27 +109,36 @@ class Rides:
         world: how they sense and drive, and when their episodes end.
         keeps_trajectory: whether they keep what they did; see `Agent`.
         hands_off: leave them to SUMO's own driver; see `Agent`.
+        until_arrival: whether they are driven until they arrive, wherever their routes lead.
     """
 
     def __init__(
-        self, simulation: Simulation, world: Config, *, keeps_trajectory: bool, hands_off: bool | str = False
+        self,
+        simulation: Simulation,
+        world: Config,
+        *,
+        keeps_trajectory: bool,
+        hands_off: bool | str = False,
+        until_arrival: bool = False,
     ) -> None:
         self._simulation = simulation
         self._world = world
         self._keeps_trajectory = keeps_trajectory
         self._hands_off = hands_off
+        self._until_arrival = until_arrival
         self.rides: dict[str, Ride] = {}
         """Those that are on the road, by their vehicles' ids."""
 
-    def enter(self, car: Inserted, stretch: Stretch, decide: Decide | None = None) -> Ride:
+    def enter(self, car: Inserted, decide: Decide | None = None, *, stretch: Stretch | None = None) -> Ride:
         """Take over a vehicle that has just been inserted.
 
         Args:
             car: the vehicle.
-            stretch: what it drives.
             decide: what decides for it in `drive`.
+            stretch: what it drives; otherwise its route.
 
         Raises:
+            CourseError: its route could not be driven.
             InputError: what is to decide cannot be called.
         """
         if decide is not None and not callable(decide):
@@ -115,6 +146,7 @@ class Rides:
                 f"what decides for a vehicle takes an observation and the vehicle, and returns a meta-action; got a "
                 f"{type(decide).__name__}: of a driver give its `decide`"
             )
+        stretch = stretch or entry.stretch_of(car, self._world, to_its_end=self._until_arrival)
         host = self._simulation.lay_course(
             stretch.road, self._world.adas, sees_m=stretch.sees_m, host=car.name, shares_type=True
         )
@@ -143,13 +175,25 @@ class Rides:
         """
         over = []
         for name, ride in list(self.rides.items()):
-            if ride.is_over(self._simulation):
+            self.follow_route(ride)
+            if ride.is_over(self._simulation) and not self._goes_on(ride):
                 over.append(self.part(name))
             elif ride.is_idle:
                 if ride.agent.is_due:
                     ride.decide()
                 ride.command(self._simulation)
         return over + self.step()
+
+    def follow_route(self, ride: Ride) -> bool:
+        """Have a vehicle that SUMO has given another route follow it, and return whether it does from now on."""
+        return ride.agent.host.is_rerouted and self._lay_anew(ride)
+
+    def _goes_on(self, ride: Ride) -> bool:
+        """Whether a vehicle at the end of its course can follow its route on, which comes over an edge again."""
+        return self._until_arrival and ride.agent.end == "end of road" and self._lay_anew(ride)
+
+    def _lay_anew(self, ride: Ride) -> bool:
+        return follow_route(ride.agent, self._simulation, self._world, until_arrival=self._until_arrival)
 
     def step(self) -> list[Ride]:
         """Let everybody drive one step; returns those who have left the road in it."""

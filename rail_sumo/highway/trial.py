@@ -126,7 +126,7 @@ def _flows_vehph(env: HighwayEnv) -> dict[str, float]:
         env.drive(MetaAction.KEEP)
         if not env.is_over:
             seen.append(env.flows_vehph)
-    return {edge: fmean(flows[edge] for flows in seen) for edge in seen[0]}
+    return {edge: fmean(flows[edge] for flows in seen if edge in flows) for edge in seen[0]}  # it may be rerouted
 
 
 def _shortness(env: HighwayEnv) -> Iterator[str]:
