@@ -534,6 +534,15 @@ def test_in_the_step_that_takes_it_on_to_the_next_edge_the_host_waits_beside_the
     assert road.counts == (1, 0, 0)
 
 
+def test_from_a_lane_that_leads_nowhere_it_crosses_over_though_it_stands_at_the_very_end(road):
+    """Nothing takes it on to the next edge; it waited there for ever."""
+    road.host = at(2, speed_mps=0.0, to_edge_end_m=0.0, leads_on_m=ENDING)
+    road.step()
+    assert road.adas.changing_lane
+    road.finish()
+    assert (road.crossings, road.host.lane, road.counts) == ([1], 3, (1, 0, 0))
+
+
 def test_on_its_way_back_too_it_waits_there(road):
     road.decide(LEFT)
     road.step(12)

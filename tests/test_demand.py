@@ -154,40 +154,18 @@ def test_departures_out_of_order_are_told(tmp_path, departures, late):
     assert all(f"is not in order of departure: {late} may enter late" in one for one in told)
 
 
-@pytest.mark.parametrize(
-    ("whom", "is_told"),
-    [
-        ("", True),
-        ('disallow="all"', True),
-        ('disallow="truck passenger"', True),
-        ('allow="bus"', True),
-        ('disallow="truck"', False),
-        ('allow="passenger taxi"', False),
-    ],
-)
-def test_a_lane_that_an_additional_file_closes_to_cars_for_a_time_is_told_of_once(tmp_path, whom, is_told):
-    closing = f'<interval begin="0" end="9"><closingLaneReroute id="highway_2" {whom}/></interval>'
-    routes = written(tmp_path, '<routes><vehicle id="v" depart="0"/></routes>')
-    path = tmp_path / "works.add.xml"
-    path.write_text(f'<additional><rerouter id="r" edges="highway">{2 * closing}</rerouter></additional>')
-    told = list(demand.warnings(read([routes], [str(path)]), AS_USUAL))
-    assert len(told) == is_told
-    for line in told:
-        assert f"'{path}' closes lanes for a time (closingLaneReroute): highway_2; driven cars do not see that" in line
-        assert 'disallow="all"' in line
+def test_lanes_that_rerouters_close_are_known(tmp_path):
+    def closing(lane):
+        return f'<interval begin="0" end="9"><closingLaneReroute id="{lane}" disallow="truck"/></interval>'
 
-
-def test_what_gives_vehicles_other_routes_while_they_drive_is_told_of(tmp_path):
     routes = written(tmp_path, '<routes><vehicle id="v" depart="0"/></routes>')
-    path = tmp_path / "detour.add.xml"
-    closing = '<closingReroute id="b"/><closingReroute id="c"/><destProbReroute id="d"/>'
-    path.write_text(f'<additional><rerouter id="r" edges="a"><interval>{closing}</interval></rerouter></additional>')
-    (told,) = demand.warnings(read([routes], [str(path)]), AS_USUAL)
-    assert told.startswith(f"'{path}' (closingReroute, destProbReroute) may give vehicles other routes while they")
-    for period, is_told in (("60", True), ("0:00:30", True), ("0", False), ("0.00", False)):
-        options = [f"device.rerouting.period={period}", "device.rerouting.probability=1"]
-        told = list(demand.warnings(read([routes], options=options), AS_USUAL))
-        assert [line.partition(" may give")[0] for line in told] == [options[0]] * is_told
+    one, other = (
+        written(tmp_path, f'<additional><rerouter id="{name}" edges="a">{what}</rerouter></additional>', f"{name}.xml")
+        for name, what in (("r", closing("a_0") + closing("a_0")), ("s", closing("b_1")))
+    )
+    found = read([routes], [one, other])
+    assert found.lanes_closed == {"a_0", "b_1"}
+    assert not list(demand.warnings(found, AS_USUAL))
 
 
 def test_a_flow_departs_when_it_begins(tmp_path):

@@ -631,6 +631,85 @@ def test_a_car_within_a_junction_follows_another_route_once_it_is_on_an_edge(tmp
     assert {course for where, course in courses if where in ("merge1", "main2", "main3")} == {"main3"}
 
 
+# Lanes that are closed for a time.
+
+
+def with_works(tmp_path, closed, *, begin_s=0.0, end_s=9999.0, period_s=2.0, disallow="all"):
+    """Three lanes, of which some are closed on the way, and cars that enter on all of them."""
+    network, routes, works = tmp_path / "three.net.xml", tmp_path / "own.rou.xml", tmp_path / "works.add.xml"
+    network.write_text(cut_road(800.0, 400.0, 600.0))
+    routes.write_text(
+        '<routes><vType id="car" speedFactor="1" sigma="0.2"/><route id="r" edges="part0 part1 part2"/>'
+        f'<flow id="f" type="car" route="r" begin="0" end="160" period="{period_s}" departLane="random" '
+        'departSpeed="max"/></routes>'
+    )
+    lanes = "".join(f'<closingLaneReroute id="{lane}" disallow="{disallow}"/>' for lane in closed)
+    interval = f'<interval begin="{begin_s}" end="{end_s}">{lanes}</interval>'
+    works.write_text(f'<additional><rerouter id="r" edges="part0">{interval}</rerouter></additional>')
+    return with_demand(network, routes).changed(traffic={"additional": (str(works),)})
+
+
+def watched(monkeypatch, look):
+    """Look after every step."""
+    step = Simulation.step
+
+    def looking(simulation):
+        gone = step(simulation)
+        look()
+        return gone
+
+    monkeypatch.setattr(Simulation, "step", looking)
+
+
+@pytest.mark.parametrize(
+    "closed", [["part1_0"], ["part1_1"], ["part1_2"], ["part1_0", "part1_1"], ["part1_2", "part2_2"]]
+)
+def test_driven_cars_drive_past_lanes_that_are_closed(tmp_path, monkeypatch, closed):
+    """Before they saw it they stood before them, some for five minutes."""
+    world, entered = with_works(tmp_path, closed), set()
+    watched(monkeypatch, lambda: entered.update(map(libsumo.vehicle.getLaneID, libsumo.vehicle.getIDList())))
+    driven, listed = trips(world, 1.0, driver("rule", world), tmp_path, until_s=300.0)
+    assert len(driven.driven) == len(listed) == 80
+    assert driven.contacts == 0
+    assert min(float(one.get("arrival")) for one in listed.values()) > 0.0, "all have arrived"
+    assert max(float(one.get("waitingTime")) for one in listed.values()) < 15.0
+    assert entered.isdisjoint(closed)
+    assert {f"part1_{k}" for k in range(3)} - set(closed) <= entered
+
+
+def test_a_lane_that_is_closed_to_others_is_driven(tmp_path, monkeypatch):
+    world, entered = with_works(tmp_path, ["part1_0"], disallow="truck"), set()
+    watched(monkeypatch, lambda: entered.update(map(libsumo.vehicle.getLaneID, libsumo.vehicle.getIDList())))
+    Fleet(world, 1.0, SEED, driver("keep", world)).drive(100.0)
+    assert "part1_0" in entered
+
+
+def test_lanes_are_left_when_they_are_closed_and_driven_again_when_they_are_opened(tmp_path, monkeypatch):
+    """Whoever is on the first of two closed lanes must leave it before the second."""
+    closed, entered = ["part1_0", "part2_0"], []
+    world = with_works(tmp_path, closed, begin_s=60.0, end_s=120.0)
+
+    def note():
+        now_s = libsumo.simulation.getTime()
+        entered.extend((now_s, name, libsumo.vehicle.getLaneID(name)) for name in libsumo.vehicle.getIDList())
+
+    watched(monkeypatch, note)
+    driven, listed = trips(world, 1.0, driver("keep", world), tmp_path, until_s=300.0)
+
+    def who(lane, from_s, until_s):
+        return {name for now_s, name, where in entered if where == lane and from_s <= now_s < until_s}
+
+    assert driven.contacts == 0
+    assert min(float(one.get("arrival")) for one in listed.values()) > 0.0
+    assert who("part1_0", 0.0, 60.0)
+    on_it = who("part1_0", 60.0, 60.2)
+    assert on_it
+    assert who("part1_0", 60.2, 120.0) <= on_it
+    assert who("part2_0", 60.2, 120.0) <= who("part2_0", 60.0, 60.2)
+    assert who("part1_0", 121.0, 300.0)
+    assert max(float(one.get("waitingTime")) for one in listed.values()) < 30.0
+
+
 def test_who_is_teleported_beside_several_driven_cars_is_seen_no_more(tmp_path):
     """Lorries halt on every lane of a short edge, until SUMO takes those behind off the road, and has no room ahead."""
 

@@ -505,3 +505,33 @@ def test_moving_a_line_sideways_mirrors_with_it_and_keeps_its_distance(legs, lef
 
 def test_a_line_that_stands_still_has_no_side():
     assert borders.offset(np.array([[3.0, 4.0], [3.0, 4.0]]), 1.6).tolist() == [[3.0, 4.0]]
+
+
+# Lanes that are closed for a time.
+
+
+@pytest.mark.parametrize("inside_m", [0.0, 20.0])
+def test_a_lane_that_is_closed_may_be_left_but_not_entered(tmp_path, inside_m):
+    file = tmp_path / "three.net.xml"
+    file.write_text(cut_road(600.0, 400.0, 600.0, inside_m=inside_m))
+    course, half = ("part0", "part1", "part2"), pytest.approx(3.2)
+    as_built = road.load(str(file), course)
+    works = road.load(str(file), course, closed=frozenset({"part1_1", "part2_0"}))
+    assert works.boundaries == pytest.approx(as_built.boundaries), "it is no guard rail"
+    first, second, third = works.edges
+    assert first.leads_on_m == (400.0, 0.0, math.inf)
+    assert second.leads_on_m == (0.0, math.inf, math.inf)
+    assert second.to_left_m == (0.0, half, 0.0)
+    assert second.to_right_m == (0.0, half, 0.0)
+    assert third.to_left_m == (half, half, 0.0)
+    assert third.to_right_m == (0.0, 0.0, half)
+    assert first.left_goes_on_m[0] == first.right_goes_on_m[1] == 0.0, "side by side no longer"
+    assert "part1_1" not in {ahead for lanes in works.next_lanes.values() for ahead in lanes}
+    assert {edge.leads_on_m for edge in as_built.edges} == {(math.inf,) * 3}
+
+
+def test_a_course_all_of_whose_lanes_are_closed_ends_before_them(tmp_path):
+    file = tmp_path / "three.net.xml"
+    file.write_text(cut_road(600.0, 400.0))
+    works = road.load(str(file), ("part0", "part1"), closed=frozenset({f"part1_{k}" for k in range(3)}))
+    assert works.edges[0].leads_on_m == (0.0, 0.0, 0.0)

@@ -236,7 +236,7 @@ class Adas:
         """One step of the change under way.
 
         The host does not cross over in a step that may take it on to the next edge, where its lane may have another
-        number: it waits beside the border.
+        number: it waits beside the border. Nothing takes it on from a lane that leads nowhere.
         """
         into = self._into(side)
         if self.aim and not (_across(host, into) and self._safe(host.speed_mps, gaps(into))):
@@ -245,7 +245,8 @@ class Adas:
         moved = min(max(self._moved + (-stride if self._reversing else stride), 0.0), self._width)
         cross = self._cross(side, moved)
         fastest = host.speed_mps + self._config.acceleration_mps2 * SECONDS_PER_STEP
-        if cross and host.to_edge_end_m <= fastest * SECONDS_PER_STEP:
+        is_led_on = host.ends_in_m(host.lane) > host.to_edge_end_m
+        if cross and is_led_on and host.to_edge_end_m <= fastest * SECONDS_PER_STEP:
             cross, moved = 0, self._moved
         self._moved = moved
         self._crossed ^= bool(cross)

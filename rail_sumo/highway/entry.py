@@ -116,20 +116,25 @@ def require_along_course(car: Inserted, config: Config) -> None:
         )
 
 
-def stretch_of(car: Inserted, config: Config, *, to_its_end: bool = False) -> Stretch:
+def stretch_of(
+    car: Inserted, config: Config, *, to_its_end: bool = False, closed: frozenset[str] = frozenset()
+) -> Stretch:
     """Return the stretch along a vehicle's route, as far as it comes over no edge again.
 
     Args:
         car: the vehicle.
         config: the world.
         to_its_end: whether a route that comes over none again is driven until the vehicle arrives.
+        closed: the ids of lanes that it may not enter now.
 
     Raises:
         CourseError: it could not be driven.
         InputError: the network cannot be read.
     """
     edges = _until_repeated(car.edges)
-    course = road.load(config.network.file, edges, vclass=car.vclass, limit_factor=config.network.limit_factor)
+    course = road.load(
+        config.network.file, edges, vclass=car.vclass, limit_factor=config.network.limit_factor, closed=closed
+    )
     return Stretch.along(course, config, car.front_m, to_its_end=to_its_end and len(edges) == len(car.edges))
 
 

@@ -18,7 +18,7 @@ from rail_sumo.highway.agent import Agent
 from rail_sumo.highway.companions import Companions
 from rail_sumo.highway.network import demand, markings, road
 from rail_sumo.highway.observation import bounds
-from rail_sumo.highway.rides import Decide, follow_route
+from rail_sumo.highway.rides import Decide, keep_to_way
 from rail_sumo.highway.simulation import HOST, Simulation
 from rail_sumo.highway.stretch import Stretch
 from rail_sumo.highway.traffic import MovingWindow
@@ -243,8 +243,7 @@ class HighwayEnv(gymnasium.Env[Floats, np.int64]):
     def _look(self, driven: int) -> Floats:
         """Sense, check whether the episode is over, and replace vehicles that left the window."""
         assert self._simulation is not None
-        if self.is_one_of_the_demand and self.agent.host.is_rerouted:
-            follow_route(self.agent, self._simulation, self.world)
+        keep_to_way(self.agent, self._simulation, self.world)
         observation = self.agent.look(self._simulation.scene())
         traffic = self.companions or self._traffic
         if traffic is not None:

@@ -86,7 +86,6 @@ class Host:
         self.ceiling_mps = self.fastest_mps
         """How fast its vehicle may be: no faster than it can, though its course allows it."""
         self._can_mps = math.inf
-        self._route = ""  # the id of SUMO's route of it, when its course was laid
         self._before_m = 0.0
         self._lateral_m = 0.0
         self._asks = self._is_gentle = self._is_of_a_demand = self._braces = False
@@ -184,18 +183,8 @@ class Host:
     def begin(self) -> None:
         """Note when and at which speed the host has entered, and who is ahead."""
         self.depart_s = libsumo.vehicle.getDeparture(self.name)
-        self.note_route()
         self.speeds_mps.append(libsumo.vehicle.getSpeed(self.name))
         self._leader = self._look_ahead()
-
-    @property
-    def is_rerouted(self) -> bool:
-        """Whether SUMO has given it another route since its course was laid."""
-        return libsumo.vehicle.getRouteID(self.name) != self._route
-
-    def note_route(self) -> None:
-        """Note that its course is laid along the route that it has now, as far as it can be."""
-        self._route = libsumo.vehicle.getRouteID(self.name)
 
     def follow(self, road: Road) -> None:
         """Drive along another course from where it is."""

@@ -203,7 +203,7 @@ class HighwayParallelEnv(ParallelEnv[str, Floats, int]):
     def _drive_a_step(self, simulation: Simulation, steps_left: int) -> None:
         """Drive one step; there are so many more until the agents decide."""
         for name, ride in list(self._live.items()):
-            self._rides.follow_route(ride)
+            self._rides.keep_to_way(ride)
             if ride.agent.host.is_lost or (ride.is_idle and ride.agent.is_spent):
                 self._look_from(simulation, name, ride)
             elif ride.is_idle:

@@ -79,8 +79,8 @@ class Ride:
         self._ordered = self._driven = 0
 
 
-def follow_route(agent: Agent, simulation: Simulation, world: Config, *, until_arrival: bool = False) -> bool:
-    """Lay an agent's course anew along the route that its vehicle has now, and return whether it could be.
+def lay_anew(agent: Agent, simulation: Simulation, world: Config, *, until_arrival: bool = False) -> bool:
+    """Lay an agent's course along the way that its vehicle has now, and return whether that could be done.
 
     Args:
         agent: the agent. It keeps its course while its vehicle is within a junction, and where the new one could not be
@@ -92,13 +92,22 @@ def follow_route(agent: Agent, simulation: Simulation, world: Config, *, until_a
     now = simulation.seen(agent.host.name)
     if now is None:
         return False
-    agent.host.note_route()
+    simulation.note_way(agent.host)
     try:
-        stretch = entry.stretch_of(now, world, to_its_end=until_arrival)
+        stretch = entry.stretch_of(now, world, to_its_end=until_arrival, closed=simulation.closed_to(now.vclass))
     except CourseError:
         return False
     agent.follow(stretch)
     return True
+
+
+def keep_to_way(agent: Agent, simulation: Simulation, world: Config, *, until_arrival: bool = False) -> None:
+    """Have an agent follow another route that SUMO has given its vehicle, and heed lanes that were closed or opened.
+
+    On a loop of ours it goes round as before. Arguments as in `lay_anew`.
+    """
+    if not agent.stretch.road.is_loop and simulation.way_has_changed(agent.host):
+        lay_anew(agent, simulation, world, until_arrival=until_arrival)
 
 
 class Rides:
@@ -175,7 +184,7 @@ class Rides:
         """
         over = []
         for name, ride in list(self.rides.items()):
-            self.follow_route(ride)
+            self.keep_to_way(ride)
             if ride.is_over(self._simulation) and not self._goes_on(ride):
                 over.append(self.part(name))
             elif ride.is_idle:
@@ -184,16 +193,14 @@ class Rides:
                 ride.command(self._simulation)
         return over + self.step()
 
-    def follow_route(self, ride: Ride) -> bool:
-        """Have a vehicle that SUMO has given another route follow it, and return whether it does from now on."""
-        return ride.agent.host.is_rerouted and self._lay_anew(ride)
+    def keep_to_way(self, ride: Ride) -> None:
+        """Have a vehicle keep to its way, if that has changed; see the function."""
+        keep_to_way(ride.agent, self._simulation, self._world, until_arrival=self._until_arrival)
 
     def _goes_on(self, ride: Ride) -> bool:
         """Whether a vehicle at the end of its course can follow its route on, which comes over an edge again."""
-        return self._until_arrival and ride.agent.end == "end of road" and self._lay_anew(ride)
-
-    def _lay_anew(self, ride: Ride) -> bool:
-        return follow_route(ride.agent, self._simulation, self._world, until_arrival=self._until_arrival)
+        goes_on = self._until_arrival and ride.agent.end == "end of road"
+        return goes_on and lay_anew(ride.agent, self._simulation, self._world, until_arrival=True)
 
     def step(self) -> list[Ride]:
         """Let everybody drive one step; returns those who have left the road in it."""

@@ -97,6 +97,11 @@ class Simulation:
         self._held = HeldVehicles()
         self._taken_over: dict[str, Inserted] = {}
         self._routes: dict[tuple[str, ...], str] = {}
+        self._laid_for: dict[
+            str, tuple[str, int]
+        ] = {}  # hosts' routes, and `_n_closings`, when their courses were laid
+        self._disallowed: list[Sequence[str]] = []  # who is, on each lane that may be closed, ...
+        self._n_closings = 0  # ... and how often that has changed
         self.hosts: list[Host] = []
         """The vehicles that are driven; the first is `host`."""
         self.watch: Callable[[], None] | None = None
@@ -115,6 +120,8 @@ class Simulation:
             which = f"'{damaged.name}'" if damaged else "the network or its demand"
             raise InputError(f"SUMO cannot load {which}: {error}") from None
         self._is_open = True
+        self._may_be_closed = sorted(demand.lanes_closed.intersection(libsumo.lane.getIDList()))
+        self._notice_closings()
         if limit_factor != 1.0:
             for lane in libsumo.lane.getIDList():
                 libsumo.lane.setMaxSpeed(lane, libsumo.lane.getMaxSpeed(lane) * limit_factor)
@@ -221,7 +228,7 @@ class Simulation:
         libsumo.vehicle.setType(car.name, HOST_TYPE)
         host.become(car.own, speed_mps=car.speed_mps, fastest_mps=car.fastest_mps)
         host.take_over(car.speed_mps)
-        host.begin()
+        self._begin(host)
         self._held.forget(car.name)
         self._taken_over[car.name] = car
 
@@ -335,7 +342,34 @@ class Simulation:
             )
         if slower:
             self.host.hold_below(self.host.fastest_mps)
-        self.host.begin()
+        self._begin(self.host)
+
+    def _begin(self, host: Host) -> None:
+        host.begin()
+        self._laid_for[host.name] = libsumo.vehicle.getRouteID(host.name), 0
+
+    # Its way changes.
+
+    def way_has_changed(self, host: Host) -> bool:
+        """Whether SUMO has given a host another route, or closed or opened lanes, since its course was laid."""
+        return self._laid_for[host.name] != self._way_now(host)
+
+    def note_way(self, host: Host) -> None:
+        """Note that a host's course is laid for its present way, as far as it can be."""
+        self._laid_for[host.name] = self._way_now(host)
+
+    def _way_now(self, host: Host) -> tuple[str, int]:
+        return libsumo.vehicle.getRouteID(host.name), self._n_closings
+
+    def closed_to(self, vclass: str) -> frozenset[str]:
+        """Return the lanes that are closed to a class of vehicles now, of those that the demand closes for a time."""
+        lanes = zip(self._may_be_closed, self._disallowed, strict=True)
+        return frozenset(lane for lane, disallowed in lanes if vclass in disallowed)
+
+    def _notice_closings(self) -> None:
+        disallowed = [libsumo.lane.getDisallowed(lane) for lane in self._may_be_closed]
+        self._n_closings += disallowed != self._disallowed
+        self._disallowed = disallowed
 
     # What is around the host.
 
@@ -406,6 +440,8 @@ class Simulation:
         libsumo.simulation.step()
 
     def _note(self) -> None:
+        if self._may_be_closed:
+            self._notice_closings()
         for host in self.hosts:
             host.note()
         if self.watch is not None:
@@ -418,7 +454,7 @@ class Simulation:
 
     def _forget(self, host: Host) -> None:
         self.hosts.remove(host)
-        del self._taken_over[host.name]
+        del self._taken_over[host.name], self._laid_for[host.name]
         self._sight.forget(host.name)
         self._held.release(host.name)
 

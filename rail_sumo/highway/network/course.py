@@ -37,6 +37,8 @@ class Way:
     is_loop: bool
     vclass: str = CAR
     """SUMO's class of the vehicle that drives it."""
+    closed: frozenset[str] = frozenset()
+    """Ids of lanes that are closed to it for a time: they may be left, but not entered."""
 
     @cached_property
     def lanes(self) -> list[list[Any]]:
@@ -46,8 +48,12 @@ class Way:
     @cached_property
     def joints(self) -> list[list[Any]]:
         """For each edge the connections that lead on to the next; none behind a chain's last edge."""
-        found = [connections(here, ahead, self.vclass) for here, ahead in itertools.pairwise(self.edges)]
-        return [*found, connections(self.edges[-1], self.edges[0], self.vclass) if self.is_loop else []]
+        found = [self._joint(here, ahead) for here, ahead in itertools.pairwise(self.edges)]
+        return [*found, self._joint(self.edges[-1], self.edges[0]) if self.is_loop else []]
+
+    def _joint(self, here: Any, ahead: Any) -> list[Any]:
+        leading = connections(here, ahead, self.vclass)
+        return [c for c in leading if c.getToLane().getID() not in self.closed] if self.closed else leading
 
 
 def require_edges(net: Any, name: str, wanted: Sequence[str]) -> None:

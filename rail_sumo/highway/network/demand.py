@@ -18,8 +18,6 @@ OF_MADE_TRAFFIC = (
 """Keys of `[traffic]` that are of the window of traffic that is made around a host without a demand."""
 UNREAD_OPTIONS = frozenset({"load-state", "device.fcd-replay.files"})
 """Options that name files with vehicles and types which are not read here."""
-REROUTING_PERIOD = "device.rerouting.period"
-"""The option that has SUMO look for faster routes while vehicles drive."""
 
 
 @dataclass(frozen=True)
@@ -65,6 +63,11 @@ class Demand:
         classes = {kind: vclass for one in contents for kind, vclass in one.types.items()}
         kinds = {kind for one in contents for kind in one.kinds}
         return self.may_have_more or any(classes.get(kind, demand_file.DEFAULT_CLASS) in CARS for kind in kinds)
+
+    @property
+    def lanes_closed(self) -> set[str]:
+        """Ids of lanes that it closes for a time."""
+        return {lane for one in self.contents for lane in one.closed_lanes}
 
     @property
     def folders_written(self) -> set[Path]:
@@ -116,15 +119,6 @@ def warnings(demand: Demand, traffic: config.Traffic) -> Iterator[str]:
                 f"vehicle type '{kind}' is {length_m:g} m long and has no vClass: it counts, and may be driven, as a "
                 f'car; if it is none, give it one, such as vClass="truck"'
             )
-    for path in demand.files:
-        closed = demand_file.read(path).closed_lanes
-        if closed:
-            yield (
-                f"'{path}' closes lanes for a time (closingLaneReroute): {', '.join(closed)}; driven cars do not see "
-                f"that, and stand before them; close them in the network instead, for all of the time "
-                f'(disallow="all")'
-            )
-    yield from _rerouting(demand)
     for given in demand.routes:
         for path in _with_included(given):
             misplaced = demand_file.read(path).misplaced
@@ -141,20 +135,6 @@ def warnings(demand: Demand, traffic: config.Traffic) -> Iterator[str]:
                 f"demand '{path}' is not in order of departure: '{late[0]}'{more} may enter late or never; sort it, by "
                 f"SUMO's tools/route/sort_routes.py for example"
             )
-
-
-def _rerouting(demand: Demand) -> Iterator[str]:
-    """Tell what gives vehicles other routes while they drive."""
-    read = ((path, demand_file.read(path).rerouting) for path in demand.files)
-    givers = [f"'{path}' ({', '.join(elements)})" for path, elements in read if elements]
-    period = demand.options.get(REROUTING_PERIOD, "")
-    if period.strip("0.:"):  # it is set, and not to 0
-        givers.append(f"{REROUTING_PERIOD}={period}")
-    for giver in givers:
-        yield (
-            f"{giver} may give vehicles other routes while they drive; a driven car keeps to its first one, and stands "
-            "where its lane does not lead on to the new one; give them their routes from departure on instead"
-        )
 
 
 def _without_effect(demand: Demand, traffic: config.Traffic) -> Iterator[str]:

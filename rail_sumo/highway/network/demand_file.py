@@ -35,8 +35,6 @@ KNOWN = ADDITIONAL | frozenset({
 
 UNNAMED = frozenset({"calibrator", "person", "personFlow"})
 """Elements for which SUMO may make vehicles, with ids of its own."""
-REROUTING = frozenset({"closingReroute", "routeProbReroute", "destProbReroute", "viaProbReroute"})
-"""Elements of rerouters that give a vehicle another route while it drives."""
 OUTPUTS = ("file", "output", "dest")
 """Attributes that name a file to be written."""
 LONGEST_CAR_M = 8.0
@@ -71,10 +69,8 @@ class DemandFile:
     """Lengths of types without a class that are longer than a car, by their ids."""
     kinds: set[str] = field(default_factory=set)
     """Ids of the types that vehicles are of."""
-    closed_lanes: list[str] = field(default_factory=list)
-    """Ids of lanes that rerouters close to passenger cars for a time, each once."""
-    rerouting: list[str] = field(default_factory=list)
-    """The elements of rerouters that give vehicles other routes while they drive, each once."""
+    closed_lanes: set[str] = field(default_factory=set)
+    """Ids of lanes that rerouters close for a time."""
     may_have_more: bool = False
     """Whether SUMO may make vehicles for it with other ids than these, or more of them than it says."""
     too_dense: str = ""
@@ -107,10 +103,8 @@ class DemandFile:
                 length_m = float(element.get("length", "0"))
                 if "vClass" not in element.attrib and length_m > LONGEST_CAR_M:
                     self.long_cars[name] = length_m
-        if tag == "closingLaneReroute" and _closes_to_cars(element) and name not in self.closed_lanes:
-            self.closed_lanes.append(name)
-        if tag in REROUTING and tag not in self.rerouting:
-            self.rerouting.append(tag)
+        if tag == "closingLaneReroute":
+            self.closed_lanes.add(name)
         if tag == "include":
             self.includes.append(element.get("href", ""))
         self.outputs += filter(None, map(element.get, OUTPUTS))
@@ -160,14 +154,6 @@ def _read(path: Path, state: tuple[int, int]) -> DemandFile:
             f"number, its period or its time"
         )
     return said
-
-
-def _closes_to_cars(closing: ElementTree.Element) -> bool:
-    """Return whether a rerouter's closing of a lane is one to passenger cars; one that names nobody closes to all."""
-    allow, disallow = (closing.get(name, "").split() for name in ("allow", "disallow"))
-    if allow:
-        return not {"all", DEFAULT_CLASS} & set(allow)
-    return not disallow or bool({"all", DEFAULT_CLASS} & set(disallow))
 
 
 def _rate_per_s(flow: ElementTree.Element, lasts_s: float) -> float:

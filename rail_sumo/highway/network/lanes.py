@@ -45,10 +45,11 @@ def survey(net: Any, way: Way, without_foes: Set[tuple[str, int]]) -> Lanes:
     junctions_m = tuple(_through_m(net, joint) for joint in way.joints)
     abreast = [_abreast(net, joint, without_foes) for joint in way.joints]
     edges = tuple(
-        _edge(edge, lanes, way.vclass, *ahead)
+        _edge(edge, lanes, *ahead)
         for edge, lanes, *ahead in zip(
             way.edges,
             way.lanes,
+            [_apart_m(lanes, way.vclass, way.closed) for lanes in way.lanes],
             _leads_on_m(way),
             _limits_ahead(net, way, junctions_m),
             _goes_on_m(net, way, abreast, CHANGE_LEFT),
@@ -180,13 +181,13 @@ def _next_lanes(net: Any, way: Way) -> dict[str, tuple[str, ...]]:
 def _edge(
     edge: Any,
     lanes: list[Any],
-    vclass: str,
+    apart_m: tuple[tuple[float, ...], tuple[float, ...]],
     leads_on_m: tuple[float, ...],
     limits_ahead: tuple[tuple[float, float], ...],
     left_goes_on_m: tuple[float, ...],
     right_goes_on_m: tuple[float, ...],
 ) -> Edge:
-    to_left_m, to_right_m = _apart_m(lanes, vclass)
+    to_left_m, to_right_m = apart_m
     return Edge(
         id=edge.getID(),
         length_m=edge.getLength(),
@@ -233,11 +234,16 @@ def _inside_edge(net: Any, joint: Joint, abreast: list[Pair], ahead: Edge, vclas
     )
 
 
-def _apart_m(lanes: list[Any], vclass: str) -> tuple[tuple[float, ...], tuple[float, ...]]:
-    # For each lane how far the centre of the one to its left is, and of the one to its right; 0 over a line.
+def _apart_m(
+    lanes: list[Any], vclass: str, closed: Set[str] = frozenset()
+) -> tuple[tuple[float, ...], tuple[float, ...]]:
+    # For each lane how far the centre of the one to its left is, and of the one to its right; 0 over a line, or where
+    # that one is closed.
     pairs = [(right, left, 0.5 * (right.getWidth() + left.getWidth())) for right, left in itertools.pairwise(lanes)]
-    to_left_m = [metres * may_cross(right, CHANGE_LEFT, vclass) for right, _, metres in pairs]
-    to_right_m = [metres * may_cross(left, CHANGE_RIGHT, vclass) for _, left, metres in pairs]
+    into_left = [left.getID() not in closed and may_cross(right, CHANGE_LEFT, vclass) for right, left, _ in pairs]
+    into_right = [right.getID() not in closed and may_cross(left, CHANGE_RIGHT, vclass) for right, left, _ in pairs]
+    to_left_m = [metres * may for (*_, metres), may in zip(pairs, into_left, strict=True)]
+    to_right_m = [metres * may for (*_, metres), may in zip(pairs, into_right, strict=True)]
     return (*to_left_m, 0.0), (0.0, *to_right_m)
 
 

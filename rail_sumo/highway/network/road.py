@@ -116,17 +116,25 @@ class Road:
         return tuple(ids)
 
 
-def load(file: str, wanted: tuple[str, ...] = (), *, vclass: str = CAR, limit_factor: float = 1.0) -> Road:
+def load(
+    file: str,
+    wanted: tuple[str, ...] = (),
+    *,
+    vclass: str = CAR,
+    limit_factor: float = 1.0,
+    closed: frozenset[str] = frozenset(),
+) -> Road:
     """Read a network, a shipped one's name or a `.net.xml`, and lay the course along the edges wanted.
 
     Without any it is the longest way for cars straight on; see `course`. Only lanes that are open to the class `vclass`
-    of SUMO's are driven. Every speed limit is multiplied by `limit_factor`.
+    of SUMO's are driven; those `closed` for a time, by their ids, are not entered. Every speed limit is multiplied by
+    `limit_factor`.
 
     Raises:
         InputError: no such file, not a SUMO network, a truncated one, or one without such a course.
     """
     path = assets.network(file)
-    found = _load(path, wanted, vclass, state_of(path))
+    found = _load(path, wanted, vclass, closed, state_of(path))
     return found if limit_factor == 1.0 else _limited(found, limit_factor)
 
 
@@ -173,14 +181,14 @@ def _limited(road: Road, factor: float) -> Road:
 
 
 @lru_cache(maxsize=32)
-def _load(path: Path, wanted: tuple[str, ...], vclass: str, state: tuple[int, int]) -> Road:
+def _load(path: Path, wanted: tuple[str, ...], vclass: str, closed: frozenset[str], state: tuple[int, int]) -> Road:
     reader = _read(path, state)
     net = reader.getNet()
     way = course.along(net, path.name, wanted, vclass) if wanted else course.longest(net, path.name)
     return Road(
         net_file=path,
         name=assets.network_name(path.name),
-        **survey(net, way, reader.without_foes)._asdict(),
+        **survey(net, replace(way, closed=closed), reader.without_foes)._asdict(),
         is_loop=way.is_loop,
         gives_way=not all(c.getState().isupper() for joint in way.joints for c in joint),  # a small letter or =
         sight_m=reader.sight_m,
