@@ -12,7 +12,7 @@ from rail_sumo.highway import acc, neighbours
 from rail_sumo.highway.acc import Leader
 from rail_sumo.highway.cut_ins import CutIns
 from rail_sumo.highway.junctions import SUMO_SPEED_MODE, Junctions
-from rail_sumo.highway.lane_ends import LEFT, RIGHT, STANDS_BEFORE_M, Side
+from rail_sumo.highway.letting_in import COMMANDED_ONLY, LettingIn
 from rail_sumo.highway.names import HOST
 from rail_sumo.highway.neighbours import Neighbours
 from rail_sumo.highway.network.road import Road
@@ -22,14 +22,6 @@ from rail_sumo.records import SECONDS_PER_STEP, SUMO_DECIDES, Command, Gaps, Hos
 HOST_TYPE = HOST
 """The id of its vehicle type."""
 
-COMMANDED_ONLY = 256
-"""Lane-change mode of the host: no change of its own accord; the ADAS layer is the gate, SUMO only avoids overlap."""
-ASKS, ASSERTIVE, NOT_ASSERTIVE = 257, "laneChangeModel.lcAssertive", "1e-9"
-"""The same, but it means to leave a lane that does not lead on; and how little it then insists on it."""
-INDICATOR = "rail_sumo.indicator"
-"""The parameter of a host's vehicle by which others know to which side it must leave its lane, as by its indicator."""
-UNSURE_MPS = 0.5
-"""By how much speeds change within a step, at most."""
 SUMO_CHANGES_LANES = 1621
 """SUMO's default lane-change mode."""
 UNLIMITED = 10.0
@@ -44,8 +36,6 @@ GENTLE_MPS2 = 3.0
 """How hard SUMO may brake the host for who comes first, where it is slow and near the line."""
 EXPECTED_BRAKING_MPS2 = 4.5
 """The braking that other vehicles expect of the host."""
-MUST_CHANGE = {LEFT: 2 | 8, RIGHT: 4 | 8}
-"""SUMO's bits of what a vehicle's lane changer means to do: to change to a side, since its lane does not lead on."""
 EDGES_PER_STEP = 10
 """Onto no more edges than these, junctions' insides included, does a vehicle come within a step."""
 SLACK_M = 100.0
@@ -80,23 +70,22 @@ class Host:
         self._claims = claims
         self._adas = adas
         self._standstill_gap_m = adas.standstill_gap_m
-        self._know(road)
-        self.junctions = Junctions(name, road, adas, sees_m=self._heeds_junctions_m)
+        self._neighbours = Neighbours(name, standstill_gap_m=adas.standstill_gap_m)
+        self._letting_in = LettingIn(name, self._neighbours, adas)
+        self.junctions = Junctions(name, adas)
         """What it meets at those ahead."""
+        self._know(road)
         self.ceiling_mps = self.fastest_mps
         """How fast its vehicle may be: no faster than it can, though its course allows it."""
         self._can_mps = math.inf
         self._before_m = 0.0
         self._lateral_m = 0.0
-        self._asks = self._is_gentle = self._is_of_a_demand = self._braces = False
-        self._assertive = ""  # as it was before it asked
+        self._is_gentle = self._is_of_a_demand = self._braces = False
         self.aims_at = ""
         """The lane that it is about to move into; empty if none."""
         self._sumo_drives = False
         self._speed_factor: float | None = None  # that SUMO's own driver was last told; None where SUMO keeps its own
         self._set_mps = self._told_mps = 0.0  # the set speed, and the speed that SUMO was told
-        self._lets_in: list[Side] = []  # on which sides somebody must come into its lane
-        self._indicates = 0  # to which side it must leave its own
         self._leader: Leader | None = None
         self._leader_name = ""
         self._leader_speeds_mps: deque[float] = deque(maxlen=round(0.5 / SECONDS_PER_STEP) + 1)
@@ -121,9 +110,9 @@ class Host:
         self._joints = road.joints
         self._next_lanes = road.next_lanes
         self._sight_m = acc.sight_m(self.fastest_mps, self._adas)
-        gap_m = self._standstill_gap_m
-        self._neighbours = Neighbours(self.name, road, sight_m=self._sight_m, standstill_gap_m=gap_m)
-        self._heeds_junctions_m = acc.braking_distance_m(self.fastest_mps, self._adas.comfort_braking_mps2) + SLACK_M
+        self._neighbours.follow(road, sight_m=self._sight_m)
+        to_stop_m = acc.braking_distance_m(self.fastest_mps, self._adas.comfort_braking_mps2)
+        self.junctions.follow(road, sees_m=to_stop_m + SLACK_M)
 
     def _equip(self) -> None:
         """Give it emergency braking: car-following that brakes safely and never harder than it may.
@@ -189,7 +178,6 @@ class Host:
     def follow(self, road: Road) -> None:
         """Drive along another course from where it is."""
         self._know(road)
-        self.junctions.follow(road, sees_m=self._heeds_junctions_m)
         if not self.junctions.matter:
             self._be_gentle(False)
         if not self._sumo_drives or self._speed_factor is not None:  # else it is of a type of the demand's
@@ -201,7 +189,6 @@ class Host:
         If it is faster, it stays so: SUMO would brake it hard, and it leaves the road soon.
         """
         self._ask(0)
-        self._indicate(0)
         vehicle, speed_mps = libsumo.vehicle, libsumo.vehicle.getSpeed(self.name)
         vehicle.setType(self.name, kind)
         faster = speed_mps / self.limit_mps if vehicle.getLaneID(self.name) else 0.0  # unless it parks
@@ -363,9 +350,7 @@ class Host:
             self.junctions.heed_signals(self.speeds_mps[-1])
             self._be_gentle(self.junctions.is_slow_at_line(self.speeds_mps[-1]))
         self._set_mps = command.speed_mps
-        self._indicate(command.asks)
-        if command.asks or self._asks:
-            self._ask(command.asks)
+        self._ask(command.asks)
         if command.cross:
             vehicle.changeLane(self.name, vehicle.getLaneIndex(self.name) + command.cross, 0.0)
             followers = vehicle.getNeighbors(self.name, neighbours.modes(command.cross)[1])
@@ -375,43 +360,14 @@ class Host:
             vehicle.setLateralLanePosition(self.name, command.lateral_m)
             self._lateral_m = command.lateral_m
 
-    def _indicate(self, side: int) -> None:
-        """Let other hosts know to which side it must leave its lane; 0: to none."""
-        if side != self._indicates:
-            self._indicates = side
-            libsumo.vehicle.setParameter(self.name, INDICATOR, str(side))
-
     def _ask(self, side: int) -> None:
-        """Have SUMO's drivers in the lane on a side let the host in, as they do each other; 0: no longer.
+        """Have others in the lane on a side let it in; 0: no longer."""
+        if self._letting_in.ask(side, self.speeds_mps[-1]):
+            self._lane_id = libsumo.vehicle.getLaneID(self.name)
 
-        SUMO's lane changer makes drivers give way to a vehicle that wants to change lanes by itself. So the host is set
-        to want to, and never does: its gaps would have to be longer than any. Only where SUMO takes a gap of no length,
-        between a slower vehicle behind and a faster one ahead, it would change at once; there the host does not ask.
-        Where others come to drive so in the very same step SUMO takes that gap, and the host is in the next lane.
-        """
-        asks = side != 0 and self._needs_room(side)
-        if asks == self._asks:
-            return
-        vehicle = libsumo.vehicle
-        try:
-            if asks:
-                self._assertive = vehicle.getParameter(self.name, ASSERTIVE)
-            vehicle.setParameter(self.name, ASSERTIVE, NOT_ASSERTIVE if asks else self._assertive)
-        except libsumo.TraCIException:  # its lane-change model, a demand's default, knows no such thing
-            return
-        vehicle.setLaneChangeMode(self.name, ASKS if asks else COMMANDED_ONLY)
-        self._asks, self._lane_id = asks, vehicle.getLaneID(self.name)
-
-    def _needs_room(self, side: int) -> bool:
-        """Whether SUMO's drivers would keep a gap between the host and its neighbours in the lane on a side."""
-        vehicle, mps = libsumo.vehicle, self.speeds_mps[-1]
-        ahead, behind = (vehicle.getNeighbors(self.name, mode) for mode in neighbours.modes(side))
-        pairs = [(self.name, mps, name, vehicle.getSpeed(name)) for name, _ in ahead]
-        pairs += [(name, vehicle.getSpeed(name), self.name, mps) for name, _ in behind]
-        return any(
-            vehicle.getSecureGap(rear, max(rear_mps - UNSURE_MPS, 0.0), front_mps + UNSURE_MPS, vehicle.getDecel(front))
-            for rear, rear_mps, front, front_mps in pairs
-        )
+    def heed(self) -> None:
+        """Notice who must come into its lane, and let them in until it looks again."""
+        self._letting_in.heed()
 
     def _be_gentle(self, is_gentle: bool) -> None:
         """Have SUMO brake gently for who comes first, or as hard as it may.
@@ -437,8 +393,7 @@ class Host:
             self._keep_to_limit()
         if not self._sumo_drives:
             now_mps = self.speeds_mps[-1]
-            for side in self._lets_in:
-                speed_mps = min(speed_mps, self._letting_in_mps(side))
+            speed_mps = min(speed_mps, self._letting_in.allowed_mps(now_mps))
             if leader is not None:
                 speed_mps = min(speed_mps, acc.following_mps(now_mps, leader, self._adas))
             if self._is_of_a_demand:
@@ -449,32 +404,6 @@ class Host:
         if speed_mps != self._told_mps:
             libsumo.vehicle.setSpeed(self.name, speed_mps)
             self._told_mps = speed_mps
-
-    def heed(self) -> None:
-        """Notice on which sides somebody ahead must come into its lane; until it looks again, it lets them in."""
-        self._lets_in = [side for side in (LEFT, RIGHT) if self._who_must_come(side)]
-
-    def _who_must_come(self, side: Side) -> tuple[Leader, float] | None:
-        """Return who is next ahead in the lane on a side, if it must come into the host's lane; how far on it stands.
-
-        A host stands as far before the end of its lane as this one would, SUMO's vehicles at the end.
-        """
-        found, vehicle = self._neighbours.ahead(side), libsumo.vehicle
-        if found is None:
-            return None
-        name, gap_m = found
-        towards: Side = RIGHT if side == LEFT else LEFT
-        if vehicle.getParameter(name, INDICATOR) == str(towards):
-            before_m = STANDS_BEFORE_M[towards]
-        elif vehicle.getLaneChangeState(name, towards)[0] & MUST_CHANGE[towards] == MUST_CHANGE[towards]:
-            before_m = 0.0
-        else:
-            return None
-        return Leader(gap_m, vehicle.getSpeed(name)), max(to_lane_end_m(name) - before_m, 0.0)
-
-    def _letting_in_mps(self, side: Side) -> float:
-        found = self._who_must_come(side)
-        return math.inf if found is None else acc.letting_in_mps(self.speeds_mps[-1], *found, self._adas)
 
     def _brace(self, speed_mps: float) -> None:
         """Have SUMO brake as hard as it may, where it takes more than others expect of the host.
@@ -515,7 +444,7 @@ class Host:
                 self.min_ttc_s = leader[0] / closing_mps
         if libsumo.simulation.getCollidingVehiclesNumber():
             self._note_contacts()
-        if self._sumo_drives or self._asks:
+        if self._sumo_drives or self._letting_in.asks:
             self._note_lane()
         self._cut_ins.note(len(self.speeds_mps))
 

@@ -26,26 +26,24 @@ class Junctions:
 
     Args:
         name: its id.
-        road: its course.
         adas: its limits.
-        sees_m: how far ahead it heeds them.
     """
 
-    def __init__(self, name: str, road: Road, adas: config.Adas, *, sees_m: float) -> None:
+    def __init__(self, name: str, adas: config.Adas) -> None:
         self._name = name
         self._adas = adas
         self._has_signals = bool(libsumo.trafficlight.getIDList())
-        self.follow(road, sees_m=sees_m)
+        self.matter = self._has_signals
+        """Whether it may ever have to wait at one."""
         self._drives_on = False  # past the next signal, though it is not green
         self._shown: list[str | bool] = []  # when it last looked
         self._is_unsure = False
 
     def follow(self, road: Road, *, sees_m: float) -> None:
-        """Tell what is ahead along another course."""
+        """Tell what is ahead along a course, so far away."""
         self._edges, self._sight_m = road.edge_of, road.sight_m
         self._sees_m = sees_m
         self.matter = self._has_signals or road.gives_way
-        """Whether it may ever have to wait at one."""
 
     def places(self, speed_mps: float) -> tuple[tuple[Place, ...], tuple[Place, ...]]:
         """Return where right of way asks it to be slow: limits that may be met late, and places that may not.

@@ -18,16 +18,17 @@ class Neighbours:
 
     Args:
         name: its id.
-        road: its course.
-        sight_m: how far ahead it sees.
         standstill_gap_m: what SUMO takes off the gaps to those ahead of it.
     """
 
-    def __init__(self, name: str, road: Road, *, sight_m: float, standstill_gap_m: float) -> None:
+    def __init__(self, name: str, *, standstill_gap_m: float) -> None:
         self._name = name
+        self._standstill_gap_m = standstill_gap_m
+
+    def follow(self, road: Road, *, sight_m: float) -> None:
+        """Look along a course, so far ahead."""
         self._next_lanes, self._lanes_before = road.next_lanes, road.lanes_before
         self._sight_m = sight_m
-        self._standstill_gap_m = standstill_gap_m
 
     def gaps(self, side: int, claims: Iterable[tuple[str, str]] = ()) -> Gaps:
         """Return the gaps in the own lane (0) or the one to its left (+1) or right (-1).

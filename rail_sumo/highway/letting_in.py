@@ -1,0 +1,124 @@
+"""How a driven vehicle is let into a lane beside, and whom it lets into its own, in SUMO."""
+
+import math
+
+import libsumo
+
+from rail_sumo import config
+from rail_sumo.highway import acc, neighbours
+from rail_sumo.highway.acc import Leader
+from rail_sumo.highway.lane_ends import LEFT, RIGHT, STANDS_BEFORE_M, Side
+from rail_sumo.highway.neighbours import Neighbours
+from rail_sumo.highway.whereabouts import to_lane_end_m
+
+COMMANDED_ONLY = 256
+"""Lane-change mode of the host: no change of its own accord; the ADAS layer is the gate, SUMO only avoids overlap."""
+ASKS, ASSERTIVE, NOT_ASSERTIVE = 257, "laneChangeModel.lcAssertive", "1e-9"
+"""The same, but it means to leave a lane that does not lead on; and how little it then insists on it."""
+INDICATOR = "rail_sumo.indicator"
+"""The parameter of a host's vehicle by which others know to which side it must leave its lane, as by its indicator."""
+MUST_CHANGE = {LEFT: 2 | 8, RIGHT: 4 | 8}
+"""SUMO's bits of what a vehicle's lane changer means to do: to change to a side, since its lane does not lead on."""
+UNSURE_MPS = 0.5
+"""By how much speeds change within a step, at most."""
+
+
+class LettingIn:
+    """Has others make room for one vehicle, and tells it for whom to make room.
+
+    Args:
+        name: its id.
+        beside: who is beside it.
+        adas: limits of its car-following.
+    """
+
+    def __init__(self, name: str, beside: Neighbours, adas: config.Adas) -> None:
+        self._name = name
+        self._beside = beside
+        self._adas = adas
+        self.asks = False
+        """Whether SUMO's drivers in a lane beside are asked to make room; SUMO may change lanes for it meanwhile."""
+        self._assertive = ""  # as it was before it asked
+        self._indicates = 0  # to which side it must leave its lane
+        self._in_from: list[Side] = []  # on which sides somebody must come into its lane
+
+    # Others let it in.
+
+    def ask(self, side: int, speed_mps: float) -> bool:
+        """Ask everybody in the lane on a side for room; 0: no longer.
+
+        Returns:
+            Whether `asks` has changed.
+        """
+        self._indicate(side)
+        return (side != 0 or self.asks) and self._ask_sumo(side, speed_mps)
+
+    def _indicate(self, side: int) -> None:
+        """Let other hosts know to which side it must leave its lane; 0: to none."""
+        if side != self._indicates:
+            self._indicates = side
+            libsumo.vehicle.setParameter(self._name, INDICATOR, str(side))
+
+    def _ask_sumo(self, side: int, speed_mps: float) -> bool:
+        """Have SUMO's drivers in the lane on a side let the host in, as they do each other; 0: no longer.
+
+        SUMO's lane changer makes drivers give way to a vehicle that wants to change lanes by itself. So the host is set
+        to want to, and never does: its gaps would have to be longer than any. Only where SUMO takes a gap of no length,
+        between a slower vehicle behind and a faster one ahead, it would change at once; there the host does not ask.
+        Where others come to drive so in the very same step SUMO takes that gap, and the host is in the next lane.
+        """
+        asks = side != 0 and self._needs_room(side, speed_mps)
+        if asks == self.asks:
+            return False
+        vehicle = libsumo.vehicle
+        try:
+            if asks:
+                self._assertive = vehicle.getParameter(self._name, ASSERTIVE)
+            vehicle.setParameter(self._name, ASSERTIVE, NOT_ASSERTIVE if asks else self._assertive)
+        except libsumo.TraCIException:  # its lane-change model, a demand's default, knows no such thing
+            return False
+        vehicle.setLaneChangeMode(self._name, ASKS if asks else COMMANDED_ONLY)
+        self.asks = asks
+        return True
+
+    def _needs_room(self, side: int, mps: float) -> bool:
+        """Whether SUMO's drivers would keep a gap between the host and its neighbours in the lane on a side."""
+        vehicle = libsumo.vehicle
+        ahead, behind = (vehicle.getNeighbors(self._name, mode) for mode in neighbours.modes(side))
+        pairs = [(self._name, mps, name, vehicle.getSpeed(name)) for name, _ in ahead]
+        pairs += [(name, vehicle.getSpeed(name), self._name, mps) for name, _ in behind]
+        return any(
+            vehicle.getSecureGap(rear, max(rear_mps - UNSURE_MPS, 0.0), front_mps + UNSURE_MPS, vehicle.getDecel(front))
+            for rear, rear_mps, front, front_mps in pairs
+        )
+
+    # It lets others in.
+
+    def heed(self) -> None:
+        """Notice on which sides somebody ahead must come into its lane; until it looks again, it lets them in."""
+        self._in_from = [side for side in (LEFT, RIGHT) if self._who_must_come(side)]
+
+    def allowed_mps(self, speed_mps: float) -> float:
+        """Return how fast it may be at the end of the next step, for those whom it lets in; inf if there are none."""
+        if not self._in_from:
+            return math.inf
+        coming = filter(None, map(self._who_must_come, self._in_from))
+        return min((acc.letting_in_mps(speed_mps, *one, self._adas) for one in coming), default=math.inf)
+
+    def _who_must_come(self, side: Side) -> tuple[Leader, float] | None:
+        """Return who is next ahead in the lane on a side, if it must come into the host's lane; how far on it stands.
+
+        A host stands as far before the end of its lane as this one would, SUMO's vehicles at the end.
+        """
+        found, vehicle = self._beside.ahead(side), libsumo.vehicle
+        if found is None:
+            return None
+        name, gap_m = found
+        towards: Side = RIGHT if side == LEFT else LEFT
+        if vehicle.getParameter(name, INDICATOR) == str(towards):
+            before_m = STANDS_BEFORE_M[towards]
+        elif vehicle.getLaneChangeState(name, towards)[0] & MUST_CHANGE[towards] == MUST_CHANGE[towards]:
+            before_m = 0.0
+        else:
+            return None
+        return Leader(gap_m, vehicle.getSpeed(name)), max(to_lane_end_m(name) - before_m, 0.0)
