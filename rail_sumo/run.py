@@ -152,13 +152,19 @@ def evaluate(
     if fcd:
         _require_whole(fcd)
     tables = results.tables()
-    hosts = tables.episodes["host"].dropna().unique()
-    if world.traffic.host == "replaces" and own.has_traffic and episodes > 1 and len(hosts) == 1:
+    if world.traffic.host == "replaces" and own.has_traffic and episodes > 1:
+        _tell_of_a_single_car(tables.episodes, observer)
+    return tables
+
+
+def _tell_of_a_single_car(episodes: pd.DataFrame, observer: Observer) -> None:
+    """Tell where every episode drives the same car, though another was to be drawn each time."""
+    hosts = episodes["host"].dropna().unique()
+    if len(hosts) == 1:
         observer.note(
             f"every episode drives the same car, '{hosts[0]}', since the demand has no other to draw: the intervals "
             "tell nothing of other cars; name one by traffic.host, or change traffic.begin_s"
         )
-    return tables
 
 
 class _Results:
