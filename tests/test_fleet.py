@@ -702,12 +702,66 @@ def test_lanes_are_left_when_they_are_closed_and_driven_again_when_they_are_open
     assert driven.contacts == 0
     assert min(float(one.get("arrival")) for one in listed.values()) > 0.0
     assert who("part1_0", 0.0, 60.0)
-    on_it = who("part1_0", 60.0, 60.2)
+    on_it = who("part1_0", 60.0, 63.0)
     assert on_it
-    assert who("part1_0", 60.2, 120.0) <= on_it
-    assert who("part2_0", 60.2, 120.0) <= who("part2_0", 60.0, 60.2)
+    assert who("part1_0", 63.0, 120.0) <= on_it, "only those that could not stop when it was closed"
+    assert who("part2_0", 63.0, 120.0) <= who("part2_0", 60.0, 63.0)
     assert who("part1_0", 121.0, 300.0)
     assert max(float(one.get("waitingTime")) for one in listed.values()) < 30.0
+
+
+@pytest.mark.parametrize("closed", [["main2_2"], ["main2_0"], ["merge1_1", "main2_0"]])
+def test_who_is_caught_by_a_lane_that_is_closed_does_not_stand_when_it_is_opened(tmp_path, closed):
+    """SUMO lets nobody who was on it drive on, unless it is told to look at its lanes anew."""
+    works = tmp_path / "works.add.xml"
+    lanes = "".join(f'<closingLaneReroute id="{lane}" disallow="all"/>' for lane in closed)
+    works.write_text(
+        f'<additional><rerouter id="r" edges="main1"><interval begin="100" end="160">{lanes}</interval></rerouter>'
+        "</additional>"
+    )
+    world = with_demand("onramp").changed(traffic={"additional": (str(works),)})
+    driven, listed = trips(world, 0.5, driver("rule", world), tmp_path, until_s=300.0)
+    assert driven.contacts == 0
+    assert len(driven.driven) > 30
+    assert max(float(one.get("waitingTime")) for one in listed.values()) < 60.0
+
+
+@pytest.mark.parametrize(("before_m", "brakes_mps2"), [(20.0, 4.5), (60.0, 4.5), (120.0, 4.5), (300.0, 3.5)])
+def test_who_cannot_stop_before_a_lane_that_is_closed_drives_on_into_it(tmp_path, before_m, brakes_mps2):
+    """At 108 km/h it takes 100 m to stop by 4.5 m/s²; SUMO would stop it at the lane's end by 250 m/s²."""
+    network, routes, works = tmp_path / "three.net.xml", tmp_path / "own.rou.xml", tmp_path / "works.add.xml"
+    network.write_text(cut_road(800.0, 400.0, 600.0, lanes=3))
+    routes.write_text(
+        '<routes><vType id="car" speedFactor="1" sigma="0"/><route id="r" edges="part0 part1 part2"/>'
+        f'<vehicle id="one" type="car" route="r" depart="0" departLane="0" departPos="{800.0 - 300.0 - before_m}" '
+        'departSpeed="30"/></routes>'
+    )
+    works.write_text(
+        '<additional><rerouter id="r" edges="part0"><interval begin="10" end="999">'
+        '<closingLaneReroute id="part1_0" disallow="all"/></interval></rerouter></additional>'
+    )
+    world = with_demand(network, routes).changed(
+        traffic={"additional": (str(works),)}, adas={"max_speed_kmh": 108.0, "start_speed_kmh": 108.0}
+    )
+    speeds, lanes, classes = [], [], []
+
+    def watching(vehicle):
+        def decide(observation, agent):
+            classes.append(libsumo.vehicle.getVehicleClass(vehicle))
+            lanes.append(libsumo.vehicle.getLaneID(vehicle))
+            speeds.append(agent.host.speeds_mps)
+            return KEEP
+
+        return decide
+
+    driven = Fleet(world, 1.0, SEED, watching)
+    driven.drive(40.0)
+    decided_mps = np.array(max(speeds, key=len))
+    assert driven.contacts == 0
+    assert -np.diff(decided_mps).min() / 0.1 <= brakes_mps2 + 1e-6
+    assert decided_mps.min() > 5.0
+    assert ("part1_0" in lanes) == ("ignoring" in classes) == (before_m < 100.0)
+    assert classes[-1] == "passenger"
 
 
 def test_who_is_teleported_beside_several_driven_cars_is_seen_no_more(tmp_path):

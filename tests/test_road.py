@@ -511,7 +511,7 @@ def test_a_line_that_stands_still_has_no_side():
 
 
 @pytest.mark.parametrize("inside_m", [0.0, 20.0])
-def test_a_lane_that_is_closed_may_be_left_but_not_entered(tmp_path, inside_m):
+def test_a_lane_that_is_closed_leads_nowhere_and_may_be_left_but_not_entered(tmp_path, inside_m):
     file = tmp_path / "three.net.xml"
     file.write_text(cut_road(600.0, 400.0, 600.0, inside_m=inside_m))
     course, half = ("part0", "part1", "part2"), pytest.approx(3.2)
@@ -520,7 +520,7 @@ def test_a_lane_that_is_closed_may_be_left_but_not_entered(tmp_path, inside_m):
     assert works.boundaries == pytest.approx(as_built.boundaries), "it is no guard rail"
     first, second, third = works.edges
     assert first.leads_on_m == (400.0, 0.0, math.inf)
-    assert second.leads_on_m == (0.0, math.inf, math.inf)
+    assert second.leads_on_m == (0.0, 0.0, math.inf)
     assert second.to_left_m == (0.0, half, 0.0)
     assert second.to_right_m == (0.0, half, 0.0)
     assert third.to_left_m == (half, half, 0.0)

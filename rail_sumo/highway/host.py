@@ -36,6 +36,8 @@ GENTLE_MPS2 = 3.0
 """How hard SUMO may brake the host for who comes first, where it is slow and near the line."""
 EXPECTED_BRAKING_MPS2 = 4.5
 """The braking that other vehicles expect of the host."""
+IGNORING = "ignoring"
+"""SUMO's class of vehicles to which no lane is closed."""
 EDGES_PER_STEP = 10
 """Onto no more edges than these, junctions' insides included, does a vehicle come within a step."""
 SLACK_M = 100.0
@@ -78,6 +80,7 @@ class Host:
         self.ceiling_mps = self.fastest_mps
         """How fast its vehicle may be: no faster than it can, though its course allows it."""
         self._can_mps = math.inf
+        self._class = ""  # its own, while it drives on into a lane that was closed too late
         self._before_m = 0.0
         self._lateral_m = 0.0
         self._is_gentle = self._is_of_a_demand = self._braces = False
@@ -177,11 +180,34 @@ class Host:
 
     def follow(self, road: Road) -> None:
         """Drive along another course from where it is."""
+        libsumo.vehicle.updateBestLanes(self.name)  # SUMO itself does not, when a lane is opened
         self._know(road)
         if not self.junctions.matter:
             self._be_gentle(False)
         if not self._sumo_drives or self._speed_factor is not None:  # else it is of a type of the demand's
             self._keep_below_ceiling(self.speeds_mps[-1])
+
+    @property
+    def vclass(self) -> str:
+        """SUMO's class of it."""
+        return self._class or libsumo.vehicle.getVehicleClass(self.name)
+
+    def can_stop_on(self, road: Road) -> bool:
+        """Return whether it can stop in its lane before that no longer leads on along a course.
+
+        No harder than others expect it to: they would run into it.
+        """
+        edge_id, _, lane = libsumo.vehicle.getLaneID(self.name).rpartition("_")
+        ends_in_m = road.edge_of[edge_id].ends_in_m(libsumo.vehicle.getLanePosition(self.name))
+        to_stop_m = acc.braking_distance_m(self.speeds_mps[-1], EXPECTED_BRAKING_MPS2)
+        return to_stop_m <= ends_in_m.get(int(lane), math.inf)
+
+    def heed_closings(self, heeds: bool) -> None:
+        """Keep out of lanes that are closed to it; or drive on into one, where it is too late to stop."""
+        if heeds == bool(self._class):
+            own = self.vclass
+            self._set("VehicleClass", own if heeds else IGNORING)
+            self._class = "" if heeds else own
 
     def let_go(self, kind: str, *, speed_factor: float) -> None:
         """Be a vehicle of SUMO's again, of a type of the demand's and as fast as it was meant to be.
@@ -189,6 +215,7 @@ class Host:
         If it is faster, it stays so: SUMO would brake it hard, and it leaves the road soon.
         """
         self._ask(0)
+        self.heed_closings(True)
         vehicle, speed_mps = libsumo.vehicle, libsumo.vehicle.getSpeed(self.name)
         vehicle.setType(self.name, kind)
         faster = speed_mps / self.limit_mps if vehicle.getLaneID(self.name) else 0.0  # unless it parks

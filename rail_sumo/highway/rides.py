@@ -1,6 +1,8 @@
 """The driven vehicles of a simulation: they enter, drive step by step, and are SUMO's again afterwards."""
 
 from collections.abc import Callable
+from dataclasses import replace
+from functools import partial
 
 from rail_sumo.config import Config
 from rail_sumo.errors import CourseError, InputError
@@ -82,6 +84,8 @@ class Ride:
 def lay_anew(agent: Agent, simulation: Simulation, world: Config, *, until_arrival: bool = False) -> bool:
     """Lay an agent's course along the way that its vehicle has now, and return whether that could be done.
 
+    Where a lane ahead has been closed too late for it to stop, it drives on as if it were open.
+
     Args:
         agent: the agent. It keeps its course while its vehicle is within a junction, and where the new one could not be
             driven.
@@ -89,14 +93,23 @@ def lay_anew(agent: Agent, simulation: Simulation, world: Config, *, until_arriv
         world: how it drives.
         until_arrival: see `Rides`.
     """
-    now = simulation.seen(agent.host.name)
+    host = agent.host
+    now = simulation.seen(host.name)
     if now is None:
         return False
-    simulation.note_way(agent.host)
+    now, closed = replace(now, vclass=host.vclass), simulation.closed_to(host.vclass)
+    lay = partial(entry.stretch_of, now, world, to_its_end=until_arrival)
     try:
-        stretch = entry.stretch_of(now, world, to_its_end=until_arrival, closed=simulation.closed_to(now.vclass))
+        stretch = lay(closed=closed)
+        heeds = not (closed and agent.is_driven_by_us) or host.can_stop_on(stretch.road)
+        if not heeds:
+            stretch = lay()
     except CourseError:
+        simulation.note_way(host)
         return False
+    host.heed_closings(heeds)
+    if heeds:
+        simulation.note_way(host)
     agent.follow(stretch)
     return True
 

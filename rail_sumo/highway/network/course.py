@@ -38,7 +38,7 @@ class Way:
     vclass: str = CAR
     """SUMO's class of the vehicle that drives it."""
     closed: frozenset[str] = frozenset()
-    """Ids of lanes that are closed to it for a time: they may be left, but not entered."""
+    """Ids of lanes that are closed to it for a time: they lead nowhere, and are not entered."""
 
     @cached_property
     def lanes(self) -> list[list[Any]]:
@@ -53,7 +53,7 @@ class Way:
 
     def _joint(self, here: Any, ahead: Any) -> list[Any]:
         leading = connections(here, ahead, self.vclass)
-        return [c for c in leading if c.getToLane().getID() not in self.closed] if self.closed else leading
+        return [c for c in leading if self.closed.isdisjoint((c.getFromLane().getID(), c.getToLane().getID()))]
 
 
 def require_edges(net: Any, name: str, wanted: Sequence[str]) -> None:

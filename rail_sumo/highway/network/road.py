@@ -127,7 +127,7 @@ def load(
     """Read a network, a shipped one's name or a `.net.xml`, and lay the course along the edges wanted.
 
     Without any it is the longest way for cars straight on; see `course`. Only lanes that are open to the class `vclass`
-    of SUMO's are driven; those `closed` for a time, by their ids, are not entered. Every speed limit is multiplied by
+    of SUMO's are driven; those `closed` for a time, by their ids, lead nowhere. Every speed limit is multiplied by
     `limit_factor`.
 
     Raises:
