@@ -28,7 +28,7 @@ FIGURES = {
 
 def correlations(learned: RunDirectory, noise_std: float, n_directions: int, pool, payer) -> pd.DataFrame:
     """Correlations over directions: rows are figures on one traffic, columns figures on the other."""
-    policy = learned.checkpoint().learned
+    policy = learned.policy()
     deltas = np.random.default_rng(0).standard_normal((n_directions, policy.shape.size))
     practice = learners.Practice(learned, pool)
     differences = []
@@ -49,7 +49,7 @@ def verdicts(learned: RunDirectory, judge, workers: int) -> dict[str, float]:
     unseen = run.record(roster.find_driver("expert", world), world, episodes=40, seed=2**31, workers=workers)
 
     def verdict(drives):
-        return float((1 / (1 + np.exp(-judge.rewards(drives.observations, drives.decisions)))).mean())
+        return float((1 / (1 + np.exp(-judge.rewards(drives.observations, drives.actions)))).mean())
 
     return {"its demonstrations": verdict(shown), "other drives of the expert": verdict(unseen)}
 

@@ -8,6 +8,8 @@ from rail_sumo.config import Senses
 from rail_sumo.records import Floats, MetaAction
 
 N_ACTIONS = len(MetaAction)
+LARGEST = 1e9
+"""A weight beyond this is of no use: with it float32 soon overflows."""
 ARGMAX, SAMPLED = "argmax", "sampled"
 """How a policy acts: by its most probable meta-action, or by one drawn with its probabilities."""
 

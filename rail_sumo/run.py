@@ -21,7 +21,7 @@ from rail_sumo.errors import InputError
 from rail_sumo.files import AnyPath, check_file, check_folder, whole_file, whole_folder
 from rail_sumo.highway import metrics, varied
 from rail_sumo.highway.env import HighwayEnv
-from rail_sumo.highway.network import demand
+from rail_sumo.highway.network import demand, road
 from rail_sumo.highway.observation import feature_names
 from rail_sumo.highway.simulation import floating_car_data
 from rail_sumo.imitation.demonstrations import DRIVER_SHA256, Demonstrations
@@ -43,6 +43,8 @@ from rail_sumo.rollout import (
 )
 from rail_sumo.tables import report
 
+BRIEF_S = 10.0
+"""Episodes that last less in the mean are told of, unless they were to be as short."""
 PART = "part.parquet"
 """The file of one episode's floating-car data, in a folder of its own."""
 
@@ -117,7 +119,7 @@ def evaluate(
     if fcd:
         _check_fcd(fcd, workers)
     own = demand.read(world.traffic)
-    for warning in demand.warnings(own, world.traffic):
+    for warning in (*demand.warnings(own, world.traffic), *road.misdrawn(world.network.file)):
         observer.note(warning)
     # One episode of everybody's after another: where that is interrupted, everybody has driven all but the last.
     labels = [(name, episode) for episode in range(episodes) for name in policies]
@@ -154,6 +156,12 @@ def evaluate(
     tables = results.tables()
     if world.traffic.host == "replaces" and own.has_traffic and episodes > 1:
         _tell_of_a_single_car(tables.episodes, observer)
+    lasts_s = tables.episodes["duration_s"].mean()
+    if lasts_s < min(BRIEF_S, world.episode.duration_s):
+        observer.note(
+            f"episodes last {lasts_s:.0f} s in the mean, and tell how hosts enter rather than how they drive; use a "
+            "longer road, or longer routes"
+        )
     return tables
 
 

@@ -16,7 +16,7 @@ from rail_sumo.highway.network import demand
 from rail_sumo.highway.observation import bounds, feature_names
 from rail_sumo.imitation.demonstrations import Demonstrations, recorded_by, recorded_on
 from rail_sumo.learners import Iteration, Practice, learner_of
-from rail_sumo.policy import ARGMAX, SAMPLED, PolicyParameters, Shape, Whitening
+from rail_sumo.policy import ARGMAX, LARGEST, SAMPLED, PolicyParameters, Shape, Whitening
 from rail_sumo.rollout import SILENT, Observer, WorkerCount
 from rail_sumo.run_directory import PROGRESS_COLUMNS, Checkpoint, Row, RunDirectory, require_new
 
@@ -186,9 +186,11 @@ def _start(config: Config, demonstrations: Demonstrations, seed: int) -> PolicyP
 
 
 def _require_drivable(learned: PolicyParameters, before: Checkpoint, learner: str) -> None:
-    """Raise InputError if what an iteration made is no policy of the run's shape, or has values that are not finite."""
+    """Raise InputError if what an iteration made is no policy of the run's shape, or its training has diverged."""
     try:
         replace(learned, shape=before.learned.shape).policy()
+        if np.abs(learned.theta).max() > LARGEST:
+            raise ValueError(f"theta has values beyond {LARGEST:g}: it diverged; lower its step size or learning rate")
     except ValueError as error:
         raise InputError(
             f"what learner '{learner}' yields in iteration {before.iteration + 1} cannot drive: {error}"
@@ -198,7 +200,7 @@ def _require_drivable(learned: PolicyParameters, before: Checkpoint, learner: st
 def _progress(iteration: Iteration, before: tuple[Row, ...], seconds: float) -> Row:
     unknown = sorted(iteration.figures.keys() - set(PROGRESS_COLUMNS))
     if unknown:
-        raise ValueError(f"'{unknown[0]}' is no column of progress.csv; figures may be: {', '.join(PROGRESS_COLUMNS)}")
+        raise InputError(f"'{unknown[0]}' is no column of progress.csv; figures may be: {', '.join(PROGRESS_COLUMNS)}")
     steps_before = before[-1]["environment_steps"] if before else 0
     return {
         "iteration": len(before) + 1,

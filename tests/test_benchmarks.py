@@ -12,6 +12,7 @@ import learning
 import noise
 import numpy as np
 import pandas as pd
+import placebo
 import pytest
 import safety
 import sensing
@@ -25,7 +26,8 @@ from rail_sumo.imitation.demonstrations import Demonstrations
 
 
 @pytest.mark.parametrize(
-    "benchmark", [ablations, agreement, claims, efficiency, learning, noise, safety, sensing, shown, throughput]
+    "benchmark",
+    [ablations, agreement, claims, efficiency, learning, noise, placebo, safety, sensing, shown, throughput],
 )
 def test_every_benchmark_can_be_asked_what_it_does(benchmark, monkeypatch, capsys):
     monkeypatch.setattr("sys.argv", [benchmark.__name__, "--help"])
@@ -200,3 +202,42 @@ def test_groups_of_trajectories_are_dealt_out_without_one_in_two_of_them():
     groups = [shown.dealt(every, 2, number) for number in range(3)]
     assert [sorted(set(group.episode.tolist())) for group in groups] == [[3, 4], [5, 6], [7, 8]]
     assert np.array_equal(np.concatenate([group.observations for group in groups]), every.observations)
+
+
+# Whether the search goes anywhere.
+
+
+def test_a_random_walk_is_as_straight_as_chance_has_it_and_a_straight_one_as_many_times_as_it_has_steps():
+    rng = np.random.default_rng(0)
+    steps = rng.standard_normal((100, 2000))
+    norms = np.linalg.norm(steps, axis=1)
+    assert placebo.straightness(steps.sum(axis=0), norms) == pytest.approx(1.0, abs=4 * math.sqrt(2 / 2000))
+    one_way = np.tile(steps[0], (100, 1))
+    assert placebo.straightness(one_way.sum(axis=0), np.linalg.norm(one_way, axis=1)) == pytest.approx(100.0)
+
+
+def test_a_placebo_is_as_far_from_the_clone_and_elsewhere_each_time():
+    rng, theta = np.random.default_rng(0), np.arange(50.0)
+    one, other = (placebo.elsewhere(theta, 7.0, rng) - theta for _ in range(2))
+    assert np.linalg.norm(one) == pytest.approx(7.0)
+    assert np.linalg.norm(other) == pytest.approx(7.0)
+    assert abs(one @ other) < 0.5 * 49.0
+
+
+def test_the_judges_verdicts_are_on_what_it_learned_from_and_on_other_drives(monkeypatch):
+    """The judge here knows a decision by its number alone."""
+    drives = Demonstrations(np.zeros((4, 3)), np.array([0, 0, 1, 1]), np.zeros(4, np.int64))
+    unseen = Demonstrations(np.zeros((2, 3)), np.array([1, 1]), np.zeros(2, np.int64))
+    monkeypatch.setattr(noise.training, "demonstrations_of", lambda world: drives)
+    monkeypatch.setattr(noise.roster, "find_driver", lambda name, world: None)
+    monkeypatch.setattr(noise.run, "record", lambda *args, **options: unseen)
+
+    class Judge:
+        def rewards(self, observations, actions):
+            return np.where(actions == 0, 50.0, 0.0)
+
+    class Learned:
+        config = None
+
+    found = noise.verdicts(Learned(), Judge(), 1)
+    assert found == pytest.approx({"its demonstrations": 0.75, "other drives of the expert": 0.5})

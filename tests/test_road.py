@@ -535,3 +535,22 @@ def test_a_course_all_of_whose_lanes_are_closed_ends_before_them(tmp_path):
     file.write_text(cut_road(600.0, 400.0))
     works = road.load(str(file), ("part0", "part1"), closed=frozenset({f"part1_{k}" for k in range(3)}))
     assert works.edges[0].leads_on_m == (0.0, 0.0, 0.0)
+
+
+# Edges that are not drawn to scale.
+
+
+@pytest.mark.parametrize(
+    ("says_m", "is_told"), [("400.00", False), ("480.00", False), ("640.00", True), ("90.00", True)]
+)
+def test_an_edge_that_is_drawn_much_longer_or_shorter_than_it_is_is_told_of(tmp_path, says_m, is_told):
+    file = tmp_path / "three.net.xml"
+    file.write_text(cut_road(600.0, 400.0).replace('length="400.00"', f'length="{says_m}"'))
+    told = list(road.misdrawn(str(file)))
+    assert len(told) == is_told
+    for line in told:
+        assert line.startswith(
+            f"edge 'part1' is {float(says_m):.0f} m long and drawn 400 m: vehicles move by the length"
+        )
+    assert list(road.misdrawn(str(file), {"part0"})) == []
+    assert [line in road.warnings(road.load(str(file))) for line in told] == [True] * is_told

@@ -16,6 +16,7 @@ import pandas as pd
 import pytest
 from safetensors import safe_open
 from safetensors.numpy import load_file, save_file
+from sketch import cut_road
 
 from rail_sumo import assets, config, config_file, drivers, learners, rollout, roster, run, training
 from rail_sumo.errors import InputError, NotBegun
@@ -573,6 +574,20 @@ def test_a_demand_with_one_car_alone_to_draw_is_told_of(tmp_path, monkeypatch):
     assert told.startswith("every episode drives the same car, '0', since the demand has no other to draw")
 
 
+def test_episodes_that_the_road_cuts_short_are_told_of(tmp_path, monkeypatch):
+    notes = []
+    monkeypatch.setattr(type(rollout.SILENT), "note", lambda observer, text: notes.append(text))
+    (tmp_path / "short.net.xml").write_text(cut_road(300.0))
+    (tmp_path / "some.rou.xml").write_text(
+        '<routes><flow id="f" begin="0" end="900" period="5" departSpeed="max"><route edges="part0"/></flow></routes>'
+    )
+    given = [f"network.file={tmp_path / 'short.net.xml'}", f'traffic.routes=["{tmp_path / "some.rou.xml"}"]']
+    run.evaluate({"keep": "keep"}, config_file.load(None, given), episodes=2, seed=0)
+    assert re.fullmatch(r"episodes last \d s in the mean, and tell how hosts enter rather than how they .*", *notes)
+    run.evaluate({"keep": "keep"}, config_file.load(None, ["episode.duration_s=2"]), episodes=2, seed=0)
+    assert len(notes) == 1, "so short they were to be"
+
+
 def test_floating_car_data_that_were_cut_off_are_refused(tmp_path, monkeypatch):
     """On a full disk SUMO stops writing and tells nobody."""
     attempt_all = run.attempt_all
@@ -927,9 +942,16 @@ def with_theta(change):
         yield Iteration(replace(start, theta=change(start.theta)), {}, practice.drive([start], 1), {})
     return iterate
 
+def has_a_figure_of_its_own(practice, checkpoint, demonstrations):
+    for iteration in with_theta(lambda theta: theta)(practice, checkpoint, demonstrations):
+        yield replace(iteration, figures={"my_loss": 1.0})
+
+
 TOO_SHORT, NOT_FINITE = with_theta(lambda theta: theta[:-1]), with_theta(lambda theta: theta / 0.0)
-GIVES_UP, SAYS_SOMETHING_ELSE, TOO_SHORT, NOT_FINITE = (
-    Learner(one, iterations=2, samples=False) for one in (gives_up, says_something_else, TOO_SHORT, NOT_FINITE)
+BEYOND = with_theta(lambda theta: theta + 1e300)
+GIVES_UP, SAYS_SOMETHING_ELSE, HAS_A_FIGURE_OF_ITS_OWN, TOO_SHORT, NOT_FINITE, BEYOND = (
+    Learner(one, iterations=2, samples=False)
+    for one in (gives_up, says_something_else, has_a_figure_of_its_own, TOO_SHORT, NOT_FINITE, BEYOND)
 )
 """
 
@@ -944,6 +966,9 @@ def test_a_learner_that_gives_up_or_says_something_else_is_told(small, driven, t
     other = small.changed(train={"learner": "own_learners:SAYS_SOMETHING_ELSE"})
     with pytest.raises(InputError, match=r"^learner '.*:SAYS_SOMETHING_ELSE' yields a dict; it has to yield an `Iter"):
         training.learn(other, tmp_path / "other", seed=1)
+    figure = small.changed(train={"learner": "own_learners:HAS_A_FIGURE_OF_ITS_OWN"})
+    with pytest.raises(InputError, match=r"^'my_loss' is no column of progress.csv; figures may be: iteration, "):
+        training.learn(figure, tmp_path / "figure", seed=1)
 
 
 @pytest.mark.filterwarnings("ignore:divide by zero")
@@ -952,6 +977,7 @@ def test_a_learner_that_gives_up_or_says_something_else_is_told(small, driven, t
     [
         ("TOO_SHORT", r"theta must have shape \(47,\) for Shape\(.*\); got \(46,\)"),
         ("NOT_FINITE", r"theta must be finite; 47 of 47 values are not"),
+        ("BEYOND", r"theta has values beyond 1e\+09: it diverged; lower its step size or learning rate"),
     ],
 )
 def test_what_a_learner_yields_that_cannot_drive_is_refused_at_once(small, driven, tmp_path, monkeypatch, name, why):

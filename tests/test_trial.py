@@ -107,6 +107,7 @@ def test_the_flow_along_the_course_is_the_demands(tmp_path):
     )
     assert found.flows_vehph == {"highway": pytest.approx(720.0, rel=0.02)}
     assert found.as_json["edges"][0]["flow_vehph"] == round(found.flows_vehph["highway"])
+    assert found.watched_s == found.as_json["flows_watched_s"] == pytest.approx(60.0, abs=3.0)
     assert trial.check(world()).flows_vehph == {}
 
 

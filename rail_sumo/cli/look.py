@@ -113,7 +113,9 @@ def check(
     if found.flows_vehph:
         least, most = (f"{limit(found.flows_vehph.values()):,.0f}" for limit in (min, max))
         flows = least if least == most else f"{least} to {most}"
-        print(f"traffic in the host's first minute: {flows} vehicles per hour on the edges of its course")
+        print(
+            f"traffic in the host's first {found.watched_s:.0f} s: {flows} vehicles per hour on the edges of its course"
+        )
     for warning in found.warnings:
         print(f"warning: {warning}")
 

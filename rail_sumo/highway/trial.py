@@ -12,7 +12,7 @@ from rail_sumo.highway.env import HighwayEnv
 from rail_sumo.highway.network import demand, road
 from rail_sumo.highway.network.road import Road
 from rail_sumo.highway.stretch import Stretch
-from rail_sumo.records import KMH, MetaAction
+from rail_sumo.records import KMH, SECONDS_PER_STEP, MetaAction
 
 MANY_WAITING = 10
 """From so many waiting vehicles on, a check warns of them."""
@@ -33,7 +33,9 @@ class Findings:
     n_signals: int
     """How many traffic lights are on its way."""
     flows_vehph: Mapping[str, float]
-    """Vehicles per hour on every edge of the course in the host's first minute; empty of made traffic."""
+    """Vehicles per hour on every edge of the course in the host's first seconds; empty of made traffic."""
+    watched_s: float
+    """For how many seconds they were watched: a minute, unless the host had driven its course before."""
     warnings: tuple[str, ...]
     """What may go wrong."""
 
@@ -62,6 +64,7 @@ class Findings:
             "signals": self.n_signals,
             "host": self.host or None,
             "host_enters_s": round(self.enters_s, 1),
+            "flows_watched_s": round(self.watched_s, 1),
             "edges": [
                 {
                     "id": edge.id,
@@ -99,12 +102,14 @@ def check(world: Config, *, seed: int = 0) -> Findings:
             *_solitude(env),
         ]
         host, enters_s, n_signals = env.host_name, env.agent.host.depart_s, env.n_signals_ahead
+        flows_vehph = _flows_vehph(env) if env.demand.has_traffic else {}
         return Findings(
             env.stretch.road,
             host=host if env.is_one_of_the_demand else "",
             enters_s=enters_s,
             n_signals=n_signals,
-            flows_vehph=_flows_vehph(env) if env.demand.has_traffic else {},
+            flows_vehph=flows_vehph,
+            watched_s=env.agent.n_steps * SECONDS_PER_STEP,
             warnings=tuple(warnings),
         )
     finally:

@@ -19,7 +19,13 @@ from rail_sumo import config, registry
 from rail_sumo.errors import InputError
 from rail_sumo.imitation.demonstrations import Demonstrations
 from rail_sumo.imitation.losses import LOSSES
-from rail_sumo.imitation.perceptron import load_training_state, perceptron, single_threaded, training_state
+from rail_sumo.imitation.perceptron import (
+    load_training_state,
+    perceptron,
+    require_in_bounds,
+    single_threaded,
+    training_state,
+)
 from rail_sumo.policy import N_ACTIONS, Whitening
 from rail_sumo.records import Floats, Trajectory
 
@@ -68,7 +74,7 @@ class Discriminator:
             rng: draws the minibatches, and whatever the loss draws.
 
         Raises:
-            InputError: the loss is not a finite number.
+            InputError: the loss is not a finite number, or its weights are beyond all bounds.
         """
         expert_pairs = self._pairs(expert.observations, expert.actions)
         learner_pairs = self._pairs(*_decisions(learner))
@@ -84,6 +90,7 @@ class Discriminator:
         wrong = [loss for loss in losses if not math.isfinite(loss)]
         if wrong:
             raise InputError(f"judge.loss '{self._settings.loss}' came to {wrong[0]}; it must be a finite number")
+        require_in_bounds(self._network, "judge.learning_rate")
 
         with torch.inference_mode():
             means = [self._loss.verdict(self._outputs(pairs)).mean().item() for pairs in (expert_pairs, learner_pairs)]

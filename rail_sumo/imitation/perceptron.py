@@ -12,10 +12,8 @@ from numpy.typing import NDArray
 from torch import nn
 
 from rail_sumo.errors import InputError
+from rail_sumo.policy import LARGEST
 from rail_sumo.records import Floats
-
-LARGEST = 1e9
-"""A weight beyond this is of no use: with it float32 soon overflows."""
 
 
 def perceptron(sizes: Sequence[int], rng: np.random.Generator) -> nn.Sequential:
@@ -87,12 +85,13 @@ def kept_in_bounds(network: nn.Module, key: str) -> Iterator[None]:
     try:
         yield
     except ValueError:  # torch's, of probabilities that are not finite
-        _require_in_bounds(network, key)
+        require_in_bounds(network, key)
         raise
-    _require_in_bounds(network, key)
+    require_in_bounds(network, key)
 
 
-def _require_in_bounds(network: nn.Module, key: str) -> None:
+def require_in_bounds(network: nn.Module, key: str) -> None:
+    """Raise InputError if weights of a network are not finite or beyond `LARGEST`; arguments as of `kept_in_bounds`."""
     if not all((parameter.abs() <= LARGEST).all() for parameter in network.parameters()):
         raise InputError(
             f"training diverged: weights of the network are not finite, or beyond {LARGEST:g}; set a smaller {key}"

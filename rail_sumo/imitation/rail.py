@@ -65,8 +65,9 @@ def train(
 
     It differs from the printed algorithm in line 14, which moves the whitening with the states met so far: the cloned
     weights are valid only with the whitening they were trained under, so that stays as it is. In
-    print, the first line's loop ends with an episode; here it is over iterations, and the caller ends it. In print,
-    line 2 scales the directions by nu twice; here once. docs/learners/rail.md lists what else differs.
+    print, the first line's loop ends with an episode; here it is over iterations, and the caller ends it. In print, the
+    directions have the standard deviation nu, and lines 4 and 5 scale them by nu again; here they are scaled once.
+    docs/learners/rail.md lists what else differs.
 
     Args:
         theta: the cloned policy, shape (size,).

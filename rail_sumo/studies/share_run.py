@@ -96,6 +96,11 @@ class ShareRun:
         """Where its floating-car data are kept, if they are."""
         return self.out / FCD / self.file.name
 
+    def discard(self) -> None:
+        """Remove what it has written."""
+        for file in (self.file, self.edges_file, self.fcd_file):
+            file.unlink(missing_ok=True)
+
     @property
     def is_finished(self) -> bool:
         """Whether all of its files are there, and made of the same."""

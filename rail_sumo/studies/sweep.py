@@ -104,6 +104,7 @@ class Sweep:
         planned = list(self._work())  # every driver is found, or not, before the first run
         warm_up_s, notes = self._found_warm_up() if self.warm_up_s is None else (self.warm_up_s, [])
         notes += demand.warnings(demand_of(self.config), self.config.traffic)
+        notes += road.misdrawn(self.config.network.file)
         notes += self._idle_keys()
         notes += self._early_ends(warm_up_s)
         for note in notes:
@@ -120,7 +121,14 @@ class Sweep:
                 self.observer.advance({})
         table = report.typed(pd.concat(driven, ignore_index=True), TRAFFIC_COLUMNS)
         if not table.loc[table["vehicles"] == traffic.DRIVEN, "n_vehicles"].any():
-            raise InputError("no car of the share was on the road in the period; change traffic.begin_s or --duration")
+            for one in work:
+                one.discard()
+            first_s, last_s = demand_of(self.config).departs_s
+            until = "on" if math.isinf(last_s) else f"to {last_s:.0f} s"
+            raise InputError(
+                f"no car of the share was on the road in the period; the demand's vehicles depart from {first_s:.0f} s "
+                f"{until}: change traffic.begin_s or --duration"
+            )
         edges = pd.concat([pd.read_parquet(one.edges_file) for one in work], ignore_index=True)
         for note in cautions.of_runs(table, edges):
             notes.append(note)

@@ -4,7 +4,7 @@ import gc
 import itertools
 import xml.sax
 from bisect import bisect_right
-from collections.abc import Iterable, Iterator, Mapping
+from collections.abc import Container, Iterable, Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import dataclass, replace
 from functools import cached_property, lru_cache
@@ -12,6 +12,7 @@ from pathlib import Path
 from typing import Any
 
 import sumolib.net
+from sumolib.geomhelper import polyLength
 
 from rail_sumo import assets
 from rail_sumo.errors import InputError
@@ -23,6 +24,8 @@ from rail_sumo.highway.network.lanes import CHANGE_LEFT, CHANGE_RIGHT, survey
 from rail_sumo.highway.network.sumo_xml import UNREADABLE, opened, require_flat, state_of
 from rail_sumo.records import Floats
 
+NOT_TO_SCALE, NOT_TO_SCALE_M = 0.25, 20.0
+"""By what part of its length, and by how much, an edge is drawn longer or shorter where that is told."""
 NARROWEST_LANE_M = 2.4
 """A car of 1.8 m with 0.3 m to either side."""
 
@@ -157,8 +160,29 @@ def read(file: str) -> "_Reader":
     return _read(path, state_of(path))
 
 
+def misdrawn(file: str, among: Container[str] | None = None) -> Iterator[str]:
+    """Tell of edges that are drawn much longer or shorter than they are; only of some, by their ids, if they are given.
+
+    Raises:
+        InputError: as in `load`, but for the course.
+    """
+    found = []
+    for edge in read(file).getNet().getEdges(withInternal=False):
+        drawn_m, length_m = polyLength(edge.getLanes()[0].getShape()), edge.getLength()
+        off_m = abs(drawn_m - length_m)
+        if off_m > max(NOT_TO_SCALE * length_m, NOT_TO_SCALE_M) and (among is None or edge.getID() in among):
+            found.append(f"'{edge.getID()}' is {length_m:.0f} m long and drawn {drawn_m:.0f} m")
+    if found:
+        more = f" (and {len(found) - 1} more)" if found[1:] else ""
+        yield (
+            f"edge {found[0]}{more}: vehicles move by the length and are sensed, overtaken and shown where they are "
+            "drawn, so that figures of driven cars are wrong; draw it to scale, or correct its length"
+        )
+
+
 def warnings(road: Road) -> Iterator[str]:
     """Tell what makes it a poor course."""
+    yield from misdrawn(str(road.net_file), road.edge_of)
     if all(len(edge.lanes) == 1 for edge in road.edges):
         yield "every edge has one lane: nobody can change lanes or overtake, and drivers differ by their speed alone"
     for edge in road.edges:
