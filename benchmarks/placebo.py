@@ -6,7 +6,7 @@ it drives.
 
 It also tells how straight the search went: the square of the way from the clone to the policy, by the sum of the
 squares of its steps. Of a random walk that is 1, give or take sqrt(2 / n) for n parameters; of steps that go one way it
-is far more.
+is far more. It may be 1 of a search that learns, too: among n directions a few that matter hardly show.
 """
 
 import argparse
