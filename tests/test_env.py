@@ -26,6 +26,7 @@ from driving import (
     world,
 )
 from gymnasium.utils.env_checker import check_env
+from sketch import cut_road
 
 from rail_sumo.config import Config
 from rail_sumo.errors import InputError
@@ -587,6 +588,41 @@ def test_a_host_of_the_demand_follows_the_route_that_it_is_given_on_its_way(make
     assert driven.speed_mps[-1] <= 22.3
     assert driven.lane_changes == 2
     assert driven.collisions == 0
+
+
+@pytest.mark.parametrize(("before_m", "brakes_mps2"), [(60.0, 4.5), (300.0, 0.0)])
+def test_a_single_host_leaves_a_lane_that_is_closed_or_drives_on_where_it_cannot_stop(
+    make, tmp_path, before_m, brakes_mps2
+):
+    """It notices at once, whenever that is; by then SUMO has braked for a step. Then it leaves the lane."""
+    network, routes, works = tmp_path / "three.net.xml", tmp_path / "one.rou.xml", tmp_path / "works.add.xml"
+    network.write_text(cut_road(800.0, 400.0, 900.0, lanes=3))
+    place_m = 800.0 - 25.0 * 10.0 - before_m
+    routes.write_text(
+        '<routes><vType id="car" sigma="0"/><route id="r" edges="part0 part1 part2"/>'
+        f'<vehicle id="one" type="car" route="r" depart="0" departLane="0" departPos="{place_m}" departSpeed="25"/>'
+        "</routes>"
+    )
+    works.write_text(
+        '<additional><rerouter id="r" edges="part0"><interval begin="10" end="999">'
+        '<closingLaneReroute id="part1_0" disallow="all"/></interval></rerouter></additional>'
+    )
+    for period_s in (1.0, 0.7):
+        env = make(
+            world(
+                network={"file": str(network)},
+                traffic={"routes": [str(routes)], "additional": [str(works)], "host": "one"},
+                adas={"max_speed_kmh": 90.0, "start_speed_kmh": 90.0},
+                episode={"course_m": 1200.0, "decision_period_s": period_s},
+            )
+        )
+        driven = drive(env, always(KEEP))
+        env.close()
+        assert driven.end_reason == "course"
+        assert driven.lane_changes == 1
+        assert driven.collisions == 0
+        assert -np.diff(driven.speed_mps).min() / 0.1 <= brakes_mps2 + 1e-6
+        assert driven.speed_mps.min() > 24.0
 
 
 def test_a_demand_that_begins_later_needs_to_be_told_when(make, tmp_path):

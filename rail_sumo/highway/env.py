@@ -228,6 +228,7 @@ class HighwayEnv(gymnasium.Env[Floats, np.int64]):
         agent.decide(MetaAction.of(action))
         while True:
             agent.note(simulation.run(agent.command(), step))
+            keep_to_way(agent, simulation, self.world)
             if agent.is_due:
                 break
         driven = agent.n_steps - before
@@ -243,7 +244,6 @@ class HighwayEnv(gymnasium.Env[Floats, np.int64]):
     def _look(self, driven: int) -> Floats:
         """Sense, check whether the episode is over, and replace vehicles that left the window."""
         assert self._simulation is not None
-        keep_to_way(self.agent, self._simulation, self.world)
         observation = self.agent.look(self._simulation.scene())
         traffic = self.companions or self._traffic
         if traffic is not None:

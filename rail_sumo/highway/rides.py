@@ -119,7 +119,11 @@ def keep_to_way(agent: Agent, simulation: Simulation, world: Config, *, until_ar
 
     On a loop of ours it goes round as before. Arguments as in `lay_anew`.
     """
-    if not agent.stretch.road.is_loop and simulation.way_has_changed(agent.host):
+    if not simulation.way_has_changed(agent.host):
+        return
+    if agent.stretch.road.is_loop:
+        simulation.note_way(agent.host)
+    else:
         lay_anew(agent, simulation, world, until_arrival=until_arrival)
 
 

@@ -397,7 +397,7 @@ class Simulation:
     def run(self, command: Command, step: Callable[[], None] | None = None) -> int:
         """Carry a command to `host` out and return the number of steps driven.
 
-        They are fewer than asked where the host collides, or has to look again at a junction ahead.
+        They are fewer than asked where the host collides, its way changes, or it has to look again at a junction ahead.
 
         Args:
             command: what it is to do.
@@ -407,7 +407,7 @@ class Simulation:
         step = step or self._step
         for driven in range(1, command.steps + 1):
             step()
-            if self.host.contact or self.host.junctions.must_look:
+            if self.host.contact or self.host.junctions.must_look or self.way_has_changed(self.host):
                 return driven
         return command.steps
 
