@@ -625,6 +625,22 @@ def test_a_single_host_leaves_a_lane_that_is_closed_or_drives_on_where_it_cannot
         assert driven.speed_mps.min() > 24.0
 
 
+def test_where_a_lane_is_closed_made_traffic_enters_on_the_others(make, tmp_path):
+    """SUMO stops at a vehicle that is to enter on a closed lane."""
+    works = tmp_path / "works.add.xml"
+    lanes = "".join(f'<closingLaneReroute id="main2_{k}" disallow="all"/>' for k in (1, 2))
+    works.write_text(
+        f'<additional><rerouter id="r" edges="main1"><interval begin="0" end="9999">{lanes}</interval></rerouter>'
+        "</additional>"
+    )
+    traffic = {"additional": [str(works)], "vehicles": 60}
+    env = make(world(network={"file": "onramp"}, traffic=traffic, episode={"duration_s": 150.0}))
+    for seed in range(2):
+        driven = drive(env, always(ACCELERATE), UNSEEN + seed)
+        assert driven.distance_m > 500.0
+        assert driven.collisions == 0
+
+
 def test_a_demand_that_begins_later_needs_to_be_told_when(make, tmp_path):
     late = tmp_path / "late.rou.xml"
     late.write_text(

@@ -24,6 +24,8 @@ from rail_sumo.records import SECONDS_PER_STEP, Command, Lane, Scene
 # Ids that no demand of a user's has; the types' are those of the two files below.
 TRAFFIC_TYPE, LORRY_TYPE = f"{OURS}traffic_", f"{OURS}lorry_"
 """Followed by the car-following model's name."""
+MADE_CLASS = "passenger"
+"""SUMO's class of both."""
 ACC_TYPE = f"{OURS}acc"
 ROUTE = f"{OURS}route"
 DECIDES_EVERY_S = 0.5
@@ -192,8 +194,10 @@ class Simulation:
     ) -> None:
         """Insert a vehicle of the moving window on the next step, with its front at `front_m` on the first edge.
 
-        SUMO leaves it out where it would not be safe; look for it in the next scene.
+        It is left out where its lane is closed, and by SUMO where it would not be safe; look for it in the next scene.
         """
+        if f"{edges[0]}_{lane}" in self.closed_to(MADE_CLASS):
+            return
         self._add(name, (LORRY_TYPE if is_lorry else TRAFFIC_TYPE) + car_following, edges, lane, front_m, "desired")
         libsumo.vehicle.setSpeedFactor(name, 1.0)
         libsumo.vehicle.setMaxSpeed(name, desired_speed_mps)
