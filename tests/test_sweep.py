@@ -402,6 +402,7 @@ def test_a_figure_shows_each_run_also_one_that_broke_down(world, tmp_path, monke
     runs = [("sumo", 0.0, 0), ("sumo", 0.0, 1), ("acc", 1.0, 0), ("acc", 1.0, 1)]
     assert points.get_xydata().tolist() == [[share, of_all[driver, share, seed]] for driver, share, seed in runs]
     assert axes.get_ylim()[0] <= 5.0
+    assert axes.xaxis.get_major_formatter()(0.5) == "50%"
 
 
 def test_what_makes_figures_doubtful_is_kept_beside_them(world, tmp_path, figures):

@@ -163,6 +163,8 @@ class Sweep:
             figure = plot.with_bands(curves, "share of the cars" if self.key == SHARE else self.key, HEADINGS[measure])
             if self.seeds > 1:
                 _mark(figure.axes[0], points)
+            if self.key == SHARE:
+                figure.axes[0].xaxis.set_major_formatter("{x:.0%}")  # as the tables tell shares
             for suffix in (".png", ".svg"):
                 plot.save(figure, self.out / FIGURES / f"{measure}{suffix}", overwrite=True)
 
