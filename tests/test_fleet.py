@@ -710,9 +710,12 @@ def test_lanes_are_left_when_they_are_closed_and_driven_again_when_they_are_open
     assert max(float(one.get("waitingTime")) for one in listed.values()) < 30.0
 
 
-@pytest.mark.parametrize("closed", [["main2_2"], ["main2_0"], ["merge1_1", "main2_0"]])
+@pytest.mark.parametrize("closed", [["main2_2"], ["main2_0"], ["main2_0", "main2_1"], ["merge1_1", "main2_0"]])
 def test_who_is_caught_by_a_lane_that_is_closed_does_not_stand_when_it_is_opened(tmp_path, closed):
-    """SUMO lets nobody who was on it drive on, unless it is told to look at its lanes anew."""
+    """SUMO lets nobody who was on it drive on, unless it is told to look at its lanes anew.
+
+    Where two are closed, a van came off the ramp and moved 3 m ahead of a car that asked for room, 10 m/s faster.
+    """
     works = tmp_path / "works.add.xml"
     lanes = "".join(f'<closingLaneReroute id="{lane}" disallow="all"/>' for lane in closed)
     works.write_text(

@@ -19,6 +19,8 @@ INDICATOR = "rail_sumo.indicator"
 """The parameter of a host's vehicle by which others know to which side it must leave its lane, as by its indicator."""
 MUST_CHANGE = {LEFT: 2 | 8, RIGHT: 4 | 8}
 """SUMO's bits of what a vehicle's lane changer means to do: to change to a side, since its lane does not lead on."""
+WANTS = {LEFT: 2, RIGHT: 4}
+"""The bit of them that tells to which side it means to change, for whatever reason."""
 UNSURE_MPS = 0.5
 """By how much speeds change within a step, at most."""
 
@@ -66,8 +68,11 @@ class LettingIn:
         to want to, and never does: its gaps would have to be longer than any. Only where SUMO takes a gap of no length,
         between a slower vehicle behind and a faster one ahead, it would change at once; there the host does not ask.
         Where others come to drive so in the very same step SUMO takes that gap, and the host is in the next lane.
+
+        Nor does it ask while somebody ahead means to come into its own lane too near to it: SUMO takes it that whoever
+        insists so little makes way, however short the gap.
         """
-        asks = side != 0 and self._needs_room(side, speed_mps)
+        asks = side != 0 and self._needs_room(side, speed_mps) and not self._is_cut_in_on(speed_mps)
         if asks == self.asks:
             return False
         vehicle = libsumo.vehicle
@@ -92,6 +97,18 @@ class LettingIn:
             for rear, rear_mps, front, front_mps in pairs
         )
 
+    def _is_cut_in_on(self, mps: float) -> bool:
+        """Whether somebody next ahead in a lane beside means to come into its lane nearer than SUMO finds safe."""
+        vehicle = libsumo.vehicle
+        for side in (LEFT, RIGHT):
+            found, towards = self._beside.ahead(side), _other(side)
+            if found is None or not vehicle.getLaneChangeState(found[0], towards)[0] & WANTS[towards]:
+                continue
+            name, gap_m = found
+            if gap_m < vehicle.getSecureGap(self._name, mps, vehicle.getSpeed(name), vehicle.getDecel(name)):
+                return True
+        return False
+
     # It lets others in.
 
     def heed(self) -> None:
@@ -114,7 +131,7 @@ class LettingIn:
         if found is None:
             return None
         name, gap_m = found
-        towards: Side = RIGHT if side == LEFT else LEFT
+        towards = _other(side)
         if vehicle.getParameter(name, INDICATOR) == str(towards):
             before_m = STANDS_BEFORE_M[towards]
         elif vehicle.getLaneChangeState(name, towards)[0] & MUST_CHANGE[towards] == MUST_CHANGE[towards]:
@@ -122,3 +139,7 @@ class LettingIn:
         else:
             return None
         return Leader(gap_m, vehicle.getSpeed(name)), max(to_lane_end_m(name) - before_m, 0.0)
+
+
+def _other(side: Side) -> Side:
+    return RIGHT if side == LEFT else LEFT
