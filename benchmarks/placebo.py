@@ -62,9 +62,13 @@ def main() -> None:
     seeds = [traffic_seed(TRAFFIC, rollout.EVALUATION, episode) for episode in range(given.episodes)]
     rows = []
     with rollout.workers(given.workers) as pool:
-        shown = list(pool.map(rollout.drive, [Task(expert, world, seed) for seed in seeds]))
+
+        def drive(policy):
+            return list(pool.map(rollout.drive, [Task(policy, world, seed) for seed in seeds]))
+
+        shown = drive(expert)
         for name, policy in who.items():
-            driven = list(pool.map(rollout.drive, [Task(policy, world, seed) for seed in seeds]))
+            driven = shown if policy is expert else drive(policy)
             table = pd.DataFrame([metrics.row(one, world.adas) for one in driven])
             apart = float(audit.told_apart(driven, shown).mean())
             contacts = int(table["collisions"].sum())

@@ -4,7 +4,7 @@ import itertools
 import json
 import math
 import platform
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from importlib.metadata import version
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -44,7 +44,7 @@ from rail_sumo.rollout import (
 from rail_sumo.tables import report
 
 BRIEF_S = 10.0
-"""Episodes that last less in the mean are told of, unless they were to be as short."""
+"""A warning follows where episodes last less than this in the mean, unless `episode.duration_s` itself is shorter."""
 PART = "part.parquet"
 """The file of one episode's floating-car data, in a folder of its own."""
 
@@ -154,24 +154,24 @@ def evaluate(
     if fcd:
         _require_whole(fcd)
     tables = results.tables()
-    if world.traffic.host == "replaces" and own.has_traffic and episodes > 1:
-        _tell_of_a_single_car(tables.episodes, observer)
-    lasts_s = tables.episodes["duration_s"].mean()
-    if lasts_s < min(BRIEF_S, world.episode.duration_s):
-        observer.note(
-            f"episodes last {lasts_s:.0f} s in the mean, and tell how hosts enter rather than how they drive; use a "
-            "longer road, or longer routes"
-        )
+    for doubt in _doubts(tables.episodes, world, draws_cars=own.has_traffic and episodes > 1):
+        observer.note(doubt)
     return tables
 
 
-def _tell_of_a_single_car(episodes: pd.DataFrame, observer: Observer) -> None:
-    """Tell where every episode drives the same car, though another was to be drawn each time."""
+def _doubts(episodes: pd.DataFrame, world: Config, *, draws_cars: bool) -> Iterator[str]:
+    """Tell what makes the episodes say less than they seem to."""
     hosts = episodes["host"].dropna().unique()
-    if len(hosts) == 1:
-        observer.note(
+    if draws_cars and world.traffic.host == "replaces" and len(hosts) == 1:
+        yield (
             f"every episode drives the same car, '{hosts[0]}', since the demand has no other to draw: the intervals "
             "tell nothing of other cars; name one by traffic.host, or change traffic.begin_s"
+        )
+    lasts_s = episodes["duration_s"].mean()
+    if lasts_s < min(BRIEF_S, world.episode.duration_s):
+        yield (
+            f"episodes last {lasts_s:.0f} s in the mean, and tell how hosts enter rather than how they drive; use a "
+            "longer road, or longer routes"
         )
 
 

@@ -69,6 +69,43 @@ class Watched(Simulation):
         self.scenes.append(self.scene())
 
 
+ON_RAMP = "main1 merge1 main2 diverge"
+"""The edges of the shipped `onramp` from which `main3` leads on and `off` leads off."""
+ONE = '<vehicle id="one" type="car" route="through" depart="0" departLane="1" departSpeed="max"/>'
+"""A car that drives through; see `on_ramp`."""
+
+
+def on_ramp(folder, elements):
+    """Return route files for the shipped `onramp`, in which elements may name the routes `through` and `off`."""
+    routes = folder / "own.rou.xml"
+    routes.write_text(
+        f'<routes><vType id="car" sigma="0"/><route id="through" edges="{ON_RAMP} main3"/>'
+        f'<route id="off" edges="{ON_RAMP} off"/>{elements}</routes>'
+    )
+    return [str(routes)]
+
+
+def led_off(folder, share=1.0):
+    """Return additional files by which a share of those who come to `merge1` of the `onramp` are led off."""
+    path = folder / "rerouter.add.xml"
+    path.write_text(
+        f'<additional><rerouter id="r" edges="merge1" probability="{share}"><interval begin="0" end="9999">'
+        '<destProbReroute id="off"/></interval></rerouter></additional>'
+    )
+    return [str(path)]
+
+
+def closing(folder, lanes, begin_s=0.0, end_s=9999.0, *, edge="part0", disallow="all"):
+    """Return additional files that close lanes for a time, from an edge on."""
+    path = folder / "works.add.xml"
+    elements = "".join(f'<closingLaneReroute id="{lane}" disallow="{disallow}"/>' for lane in lanes)
+    path.write_text(
+        f'<additional><rerouter id="works" edges="{edge}"><interval begin="{begin_s}" end="{end_s}">{elements}'
+        "</interval></rerouter></additional>"
+    )
+    return [str(path)]
+
+
 def at_random(seed):
     rng = np.random.default_rng(seed)
     return lambda env: int(rng.integers(5))

@@ -15,13 +15,17 @@ from driving import (
     KEEP,
     LANE_M,
     LEFT,
+    ONE,
     RIGHT,
     UNSEEN,
     Watched,
     always,
     assert_same,
     at_random,
+    closing,
     drive,
+    led_off,
+    on_ramp,
     onlooker_account,
     world,
 )
@@ -567,16 +571,7 @@ def test_a_host_that_is_taken_off_the_road_is_told_in_one_line(make, tmp_path, b
 
 def test_a_host_of_the_demand_follows_the_route_that_it_is_given_on_its_way(make, tmp_path):
     """A rerouter on `merge1` has it leave by the exit, where as it entered it drove on along the motorway."""
-    routes, rerouter = tmp_path / "one.rou.xml", tmp_path / "off.add.xml"
-    routes.write_text(
-        '<routes><vType id="car" sigma="0"/><route id="r" edges="main1 merge1 main2 diverge main3"/>'
-        '<vehicle id="one" type="car" route="r" depart="0" departLane="1" departSpeed="max"/></routes>'
-    )
-    rerouter.write_text(
-        '<additional><rerouter id="r" edges="merge1"><interval begin="0" end="9999">'
-        '<destProbReroute id="off"/></interval></rerouter></additional>'
-    )
-    traffic = {"routes": [str(routes)], "additional": [str(rerouter)], "host": "one"}
+    traffic = {"routes": on_ramp(tmp_path, ONE), "additional": led_off(tmp_path), "host": "one"}
     endless = {"course_m": 9999.0, "duration_s": 999.0}
     env = make(world(network={"file": "onramp", "course": ["main1"]}, traffic=traffic, episode=endless))
     driven = drive(env, always(KEEP))
@@ -595,7 +590,7 @@ def test_a_single_host_leaves_a_lane_that_is_closed_or_drives_on_where_it_cannot
     make, tmp_path, before_m, brakes_mps2
 ):
     """It notices at once, whenever that is; by then SUMO has braked for a step. Then it leaves the lane."""
-    network, routes, works = tmp_path / "three.net.xml", tmp_path / "one.rou.xml", tmp_path / "works.add.xml"
+    network, routes = tmp_path / "three.net.xml", tmp_path / "one.rou.xml"
     network.write_text(cut_road(800.0, 400.0, 900.0, lanes=3))
     place_m = 800.0 - 25.0 * 10.0 - before_m
     routes.write_text(
@@ -603,15 +598,12 @@ def test_a_single_host_leaves_a_lane_that_is_closed_or_drives_on_where_it_cannot
         f'<vehicle id="one" type="car" route="r" depart="0" departLane="0" departPos="{place_m}" departSpeed="25"/>'
         "</routes>"
     )
-    works.write_text(
-        '<additional><rerouter id="r" edges="part0"><interval begin="10" end="999">'
-        '<closingLaneReroute id="part1_0" disallow="all"/></interval></rerouter></additional>'
-    )
+    works = closing(tmp_path, ["part1_0"], 10.0)
     for period_s in (1.0, 0.7):
         env = make(
             world(
                 network={"file": str(network)},
-                traffic={"routes": [str(routes)], "additional": [str(works)], "host": "one"},
+                traffic={"routes": [str(routes)], "additional": works, "host": "one"},
                 adas={"max_speed_kmh": 90.0, "start_speed_kmh": 90.0},
                 episode={"course_m": 1200.0, "decision_period_s": period_s},
             )
@@ -627,13 +619,7 @@ def test_a_single_host_leaves_a_lane_that_is_closed_or_drives_on_where_it_cannot
 
 def test_where_a_lane_is_closed_made_traffic_enters_on_the_others(make, tmp_path):
     """SUMO stops at a vehicle that is to enter on a closed lane."""
-    works = tmp_path / "works.add.xml"
-    lanes = "".join(f'<closingLaneReroute id="main2_{k}" disallow="all"/>' for k in (1, 2))
-    works.write_text(
-        f'<additional><rerouter id="r" edges="main1"><interval begin="0" end="9999">{lanes}</interval></rerouter>'
-        "</additional>"
-    )
-    traffic = {"additional": [str(works)], "vehicles": 60}
+    traffic = {"additional": closing(tmp_path, ["main2_1", "main2_2"], edge="main1"), "vehicles": 60}
     env = make(world(network={"file": "onramp"}, traffic=traffic, episode={"duration_s": 150.0}))
     for seed in range(2):
         driven = drive(env, always(ACCELERATE), UNSEEN + seed)

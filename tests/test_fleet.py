@@ -9,7 +9,7 @@ import libsumo
 import numpy as np
 import pandas as pd
 import pytest
-from driving import ACCELERATE, KEEP, LEFT, RIGHT, UNSEEN
+from driving import ACCELERATE, KEEP, LEFT, ONE, RIGHT, UNSEEN, closing, led_off, on_ramp
 from hypothesis import given
 from hypothesis import strategies as st
 from sketch import cut_road
@@ -28,6 +28,18 @@ SEED = UNSEEN + 100
 def with_demand(network, routes="", options=(), **sections):
     traffic = {"routes": [str(routes or network)], "options": list(options)}
     return config_file.validate({"network": {"file": str(network)}, "traffic": traffic} | sections)
+
+
+def watched(monkeypatch, look):
+    """Look at the simulation after every step."""
+    step = Simulation.step
+
+    def looking(simulation):
+        gone = step(simulation)
+        look(simulation)
+        return gone
+
+    monkeypatch.setattr(Simulation, "step", looking)
 
 
 def driver(name, world):
@@ -116,15 +128,12 @@ def keep_host(decide, kept):
 @pytest.mark.parametrize("network", ["highway3", "onramp", "ring5"])
 def test_where_all_cars_are_driven_nobody_is_touched(monkeypatch, touching, network, name):
     world, scenes = with_demand(network), []
-    step = Simulation.step
 
-    def watched(simulation):
-        gone = step(simulation)
+    def look(simulation):
         if simulation.hosts:
             scenes.append(simulation.scene(simulation.hosts[len(scenes) % len(simulation.hosts)]))
-        return gone
 
-    monkeypatch.setattr(Simulation, "step", watched)
+    watched(monkeypatch, look)
     driven = Fleet(world, 1.0, SEED, driver(name, world))
     driven.drive(60.0)
     assert len(driven.driven) > 15
@@ -401,19 +410,17 @@ def test_without_a_demand_there_is_nobody_to_drive():
 @pytest.mark.parametrize("network", ["onramp", "arterial"])
 def test_who_is_near_is_the_same_whether_one_looks_or_many(monkeypatch, network):
     world, compared = with_demand(network), []
-    step = Simulation.step
 
-    def watched(simulation):
-        gone, sight = step(simulation), simulation._sight
+    def look(simulation):
+        sight = simulation._sight
         for host in simulation.hosts[len(compared) % 3 :: 3]:
             here, reach_m = libsumo.vehicle.getPosition3D(host.name), 105.0
             one = sorted(sight._near(host.name, here, reach_m, libsumo.vehicle.getIDList()))
             lately = sight._near_lately(here, reach_m)
             assert one == sorted(sight._near(host.name, here, reach_m, lately))
             compared.append(len(one))
-        return gone
 
-    monkeypatch.setattr(Simulation, "step", watched)
+    watched(monkeypatch, look)
     Fleet(world, 0.5, SEED, driver("keep", world)).drive(120.0)
     assert len(compared) > 1000
     assert np.mean(compared) > 2
@@ -522,30 +529,14 @@ def test_a_lane_change_model_that_cannot_be_asked_with_is_left_alone(tmp_path):
     assert any(name.startswith("ramp") for name in driven.driven)
 
 
-def rerouted(tmp_path, to, *, edge="merge1", share=1.0):
-    """The on-ramp with a rerouter that has a share of those who come to an edge drive elsewhere."""
-    path = tmp_path / "rerouter.add.xml"
-    path.write_text(
-        f'<additional><rerouter id="r" edges="{edge}" probability="{share}"><interval begin="0" end="9999">'
-        f'<destProbReroute id="{to}"/></interval></rerouter></additional>'
+def on_the_ramp(tmp_path, elements, **traffic):
+    return config_file.validate(
+        {"network": {"file": "onramp"}, "traffic": {"routes": on_ramp(tmp_path, elements)} | traffic}
     )
-    return [str(path)]
-
-
-def on_ramp(tmp_path, elements, **traffic):
-    routes = tmp_path / "own.rou.xml"
-    routes.write_text(
-        '<routes><vType id="car" sigma="0"/><route id="through" edges="main1 merge1 main2 diverge main3"/>'
-        f'<route id="off" edges="main1 merge1 main2 diverge off"/>{elements}</routes>'
-    )
-    return config_file.validate({"network": {"file": "onramp"}, "traffic": {"routes": [str(routes)]} | traffic})
-
-
-ONE = '<vehicle id="one" type="car" route="through" depart="0" departLane="1" departSpeed="max"/>'
 
 
 def test_a_car_that_is_led_elsewhere_is_driven_there(tmp_path):
-    world = on_ramp(tmp_path, ONE, additional=rerouted(tmp_path, "off"))
+    world = on_the_ramp(tmp_path, ONE, additional=led_off(tmp_path))
     on_edges = {}
 
     def watching(vehicle):
@@ -576,7 +567,7 @@ def test_many_that_are_led_elsewhere_do_not_come_to_stand(tmp_path):
         '<flow id="f" type="car" route="through" begin="0" end="120" period="1.8" departLane="random" '
         'departSpeed="max"/>'
     )
-    world = on_ramp(tmp_path, flow, additional=rerouted(tmp_path, "off", share=0.5))
+    world = on_the_ramp(tmp_path, flow, additional=led_off(tmp_path, 0.5))
     driven, listed = trips(world, 1.0, driver("rule", world), tmp_path, until_s=240.0)
     lanes = [one.get("arrivalLane") for one in listed.values() if float(one.get("arrival")) > 0.0]
     assert len(lanes) == len(driven.driven) == 67
@@ -586,7 +577,7 @@ def test_many_that_are_led_elsewhere_do_not_come_to_stand(tmp_path):
 
 
 def test_a_lane_change_goes_on_though_the_route_changes_meanwhile(tmp_path):
-    world, seen = on_ramp(tmp_path, ONE), []
+    world, seen = on_the_ramp(tmp_path, ONE), []
 
     def watching(vehicle):
         def decide(observation, agent):
@@ -612,7 +603,8 @@ def test_a_lane_change_goes_on_though_the_route_changes_meanwhile(tmp_path):
 @pytest.mark.parametrize("first", ["main1", "on1"])
 def test_a_car_within_a_junction_follows_another_route_once_it_is_on_an_edge(tmp_path, first):
     way = f'<route edges="{first} merge1 main2 diverge off"/>'
-    world, courses = on_ramp(tmp_path, f'<vehicle id="one" type="car" depart="0" departSpeed="max">{way}</vehicle>'), []
+    world = on_the_ramp(tmp_path, f'<vehicle id="one" type="car" depart="0" departSpeed="max">{way}</vehicle>')
+    courses = []
 
     def watching(vehicle):
         def decide(observation, agent):
@@ -634,31 +626,16 @@ def test_a_car_within_a_junction_follows_another_route_once_it_is_on_an_edge(tmp
 # Lanes that are closed for a time.
 
 
-def with_works(tmp_path, closed, *, begin_s=0.0, end_s=9999.0, period_s=2.0, disallow="all"):
+def with_works(tmp_path, additional):
     """Three lanes, of which some are closed on the way, and cars that enter on all of them."""
-    network, routes, works = tmp_path / "three.net.xml", tmp_path / "own.rou.xml", tmp_path / "works.add.xml"
+    network, routes = tmp_path / "three.net.xml", tmp_path / "own.rou.xml"
     network.write_text(cut_road(800.0, 400.0, 600.0))
     routes.write_text(
         '<routes><vType id="car" speedFactor="1" sigma="0.2"/><route id="r" edges="part0 part1 part2"/>'
-        f'<flow id="f" type="car" route="r" begin="0" end="160" period="{period_s}" departLane="random" '
+        '<flow id="f" type="car" route="r" begin="0" end="160" period="2" departLane="random" '
         'departSpeed="max"/></routes>'
     )
-    lanes = "".join(f'<closingLaneReroute id="{lane}" disallow="{disallow}"/>' for lane in closed)
-    interval = f'<interval begin="{begin_s}" end="{end_s}">{lanes}</interval>'
-    works.write_text(f'<additional><rerouter id="r" edges="part0">{interval}</rerouter></additional>')
-    return with_demand(network, routes).changed(traffic={"additional": (str(works),)})
-
-
-def watched(monkeypatch, look):
-    """Look after every step."""
-    step = Simulation.step
-
-    def looking(simulation):
-        gone = step(simulation)
-        look()
-        return gone
-
-    monkeypatch.setattr(Simulation, "step", looking)
+    return with_demand(network, routes).changed(traffic={"additional": tuple(additional)})
 
 
 @pytest.mark.parametrize(
@@ -666,8 +643,8 @@ def watched(monkeypatch, look):
 )
 def test_driven_cars_drive_past_lanes_that_are_closed(tmp_path, monkeypatch, closed):
     """Before they saw it they stood before them, some for five minutes."""
-    world, entered = with_works(tmp_path, closed), set()
-    watched(monkeypatch, lambda: entered.update(map(libsumo.vehicle.getLaneID, libsumo.vehicle.getIDList())))
+    world, entered = with_works(tmp_path, closing(tmp_path, closed)), set()
+    watched(monkeypatch, lambda _: entered.update(map(libsumo.vehicle.getLaneID, libsumo.vehicle.getIDList())))
     driven, listed = trips(world, 1.0, driver("rule", world), tmp_path, until_s=300.0)
     assert len(driven.driven) == len(listed) == 80
     assert driven.contacts == 0
@@ -678,8 +655,8 @@ def test_driven_cars_drive_past_lanes_that_are_closed(tmp_path, monkeypatch, clo
 
 
 def test_a_lane_that_is_closed_to_others_is_driven(tmp_path, monkeypatch):
-    world, entered = with_works(tmp_path, ["part1_0"], disallow="truck"), set()
-    watched(monkeypatch, lambda: entered.update(map(libsumo.vehicle.getLaneID, libsumo.vehicle.getIDList())))
+    world, entered = with_works(tmp_path, closing(tmp_path, ["part1_0"], disallow="truck")), set()
+    watched(monkeypatch, lambda _: entered.update(map(libsumo.vehicle.getLaneID, libsumo.vehicle.getIDList())))
     Fleet(world, 1.0, SEED, driver("keep", world)).drive(100.0)
     assert "part1_0" in entered
 
@@ -687,10 +664,10 @@ def test_a_lane_that_is_closed_to_others_is_driven(tmp_path, monkeypatch):
 def test_lanes_are_left_when_they_are_closed_and_driven_again_when_they_are_opened(tmp_path, monkeypatch):
     """Whoever is on the first of two closed lanes must leave it before the second."""
     closed, entered = ["part1_0", "part2_0"], []
-    world = with_works(tmp_path, closed, begin_s=60.0, end_s=120.0)
+    world = with_works(tmp_path, closing(tmp_path, closed, 60.0, 120.0))
 
-    def note():
-        now_s = libsumo.simulation.getTime()
+    def note(simulation):
+        now_s = simulation.now_s
         entered.extend((now_s, name, libsumo.vehicle.getLaneID(name)) for name in libsumo.vehicle.getIDList())
 
     watched(monkeypatch, note)
@@ -716,13 +693,8 @@ def test_who_is_caught_by_a_lane_that_is_closed_does_not_stand_when_it_is_opened
 
     Where two are closed, a van came off the ramp and moved 3 m ahead of a car that asked for room, 10 m/s faster.
     """
-    works = tmp_path / "works.add.xml"
-    lanes = "".join(f'<closingLaneReroute id="{lane}" disallow="all"/>' for lane in closed)
-    works.write_text(
-        f'<additional><rerouter id="r" edges="main1"><interval begin="100" end="160">{lanes}</interval></rerouter>'
-        "</additional>"
-    )
-    world = with_demand("onramp").changed(traffic={"additional": (str(works),)})
+    works = closing(tmp_path, closed, 100.0, 160.0, edge="main1")
+    world = with_demand("onramp").changed(traffic={"additional": tuple(works)})
     driven, listed = trips(world, 0.5, driver("rule", world), tmp_path, until_s=300.0)
     assert driven.contacts == 0
     assert len(driven.driven) > 30
@@ -732,19 +704,16 @@ def test_who_is_caught_by_a_lane_that_is_closed_does_not_stand_when_it_is_opened
 @pytest.mark.parametrize(("before_m", "brakes_mps2"), [(20.0, 4.5), (60.0, 4.5), (120.0, 4.5), (300.0, 3.5)])
 def test_who_cannot_stop_before_a_lane_that_is_closed_drives_on_into_it(tmp_path, before_m, brakes_mps2):
     """At 108 km/h it takes 100 m to stop by 4.5 m/s²; SUMO would stop it at the lane's end by 250 m/s²."""
-    network, routes, works = tmp_path / "three.net.xml", tmp_path / "own.rou.xml", tmp_path / "works.add.xml"
+    network, routes = tmp_path / "three.net.xml", tmp_path / "own.rou.xml"
     network.write_text(cut_road(800.0, 400.0, 600.0, lanes=3))
     routes.write_text(
         '<routes><vType id="car" speedFactor="1" sigma="0"/><route id="r" edges="part0 part1 part2"/>'
         f'<vehicle id="one" type="car" route="r" depart="0" departLane="0" departPos="{800.0 - 300.0 - before_m}" '
         'departSpeed="30"/></routes>'
     )
-    works.write_text(
-        '<additional><rerouter id="r" edges="part0"><interval begin="10" end="999">'
-        '<closingLaneReroute id="part1_0" disallow="all"/></interval></rerouter></additional>'
-    )
     world = with_demand(network, routes).changed(
-        traffic={"additional": (str(works),)}, adas={"max_speed_kmh": 108.0, "start_speed_kmh": 108.0}
+        traffic={"additional": tuple(closing(tmp_path, ["part1_0"], 10.0))},
+        adas={"max_speed_kmh": 108.0, "start_speed_kmh": 108.0},
     )
     speeds, lanes, classes = [], [], []
 

@@ -7,7 +7,7 @@ import warnings
 
 import numpy as np
 import pytest
-from driving import KEEP, LEFT, RIGHT, UNSEEN
+from driving import KEEP, LEFT, RIGHT, UNSEEN, led_off, on_ramp
 
 import rail_sumo
 from rail_sumo.errors import InputError
@@ -254,16 +254,9 @@ def test_its_lane_changes_are_the_single_hosts_step_for_step(make):
 
 
 def test_an_agent_follows_the_route_that_it_is_given_on_its_way(make, tmp_path):
-    routes, rerouter = tmp_path / "one.rou.xml", tmp_path / "off.add.xml"
-    routes.write_text(
-        '<routes><vType id="car" sigma="0"/><route id="r" edges="main1 merge1 main2 diverge main3"/>'
-        '<vehicle id="one" type="car" route="r" depart="1" departLane="0" departSpeed="max"/></routes>'
-    )
-    rerouter.write_text(
-        '<additional><rerouter id="r" edges="merge1"><interval begin="0" end="9999">'
-        '<destProbReroute id="off"/></interval></rerouter></additional>'
-    )
-    traffic = {"routes": [str(routes)], "additional": [str(rerouter)], "entry_within_s": 0.0, "warm_up_s": 0.0}
+    one = '<vehicle id="one" type="car" route="through" depart="1" departLane="0" departSpeed="max"/>'
+    files = {"routes": on_ramp(tmp_path, one), "additional": led_off(tmp_path)}
+    traffic = files | {"entry_within_s": 0.0, "warm_up_s": 0.0}
     env = make(1, {"network": {"file": "onramp"}, "traffic": traffic, "episode": {"course_m": 9999.0}})
     told = [infos["host_0"] for *_, infos in drive(env, SEED, lambda name, info, rng: KEEP) if infos]
     assert told[-1]["end_reason"] == "end of road"

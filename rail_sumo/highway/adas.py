@@ -89,7 +89,7 @@ class Adas:
         return self._into(self._side)
 
     def _into(self, side: Side) -> Side:
-        return RIGHT if (side == LEFT) == self._crossed else LEFT
+        return lane_ends.other(side) if self._crossed else side
 
     @property
     def lateral_m(self) -> float:
@@ -209,7 +209,7 @@ class Adas:
         assert self._side is not None
         if not self._crossed:
             return lane_ends.way_on(host) != self._side
-        return self._open(LEFT if self._side == RIGHT else RIGHT, host, gaps)
+        return self._open(lane_ends.other(self._side), host, gaps)
 
     def _has_room(self, host: HostState, side: Side) -> bool:
         """Whether a change to a side ends before the lanes part, even if the host speeds up meanwhile.

@@ -105,7 +105,7 @@ class HighwayEnv(gymnasium.Env[Floats, np.int64]):
                 if self.demand.has_traffic
                 else Stretch.in_window(course, world)
             )
-            """What the host drives; where it replaces a car, known from `reset` on."""
+            """What the host drives at first; where it replaces a car, known from `reset` on."""
 
     @sumo_process.as_input_errors
     def reset(self, *, seed: int | None = None, options: dict[str, Any] | None = None) -> tuple[Floats, dict[str, Any]]:

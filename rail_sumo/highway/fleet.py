@@ -65,7 +65,7 @@ class Fleet:
 
     Vehicles keep their departure, route, class and size. What a driven one does is what a single host would do: it
     decides every `episode.decision_period_s` from its own entry, and once more whenever a lane change ends, until it
-    arrives. After a contact SUMO drives it on as before, and for a step where the route comes to an edge again.
+    arrives. After a contact SUMO drives it on as before.
 
     Args:
         world: network, demand, and how vehicles sense and drive.

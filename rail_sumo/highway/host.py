@@ -107,6 +107,7 @@ class Host:
         self._equip()
 
     def _know(self, road: Road) -> None:
+        """Take what follows from a course."""
         self.fastest_mps = self._adas.highest_mps(road.highest_limit_mps)
         """The highest set speed on its course."""
         self._edges = road.edge_of

@@ -33,8 +33,6 @@ class Junctions:
         self._name = name
         self._adas = adas
         self._has_signals = bool(libsumo.trafficlight.getIDList())
-        self.matter = self._has_signals
-        """Whether it may ever have to wait at one."""
         self._drives_on = False  # past the next signal, though it is not green
         self._shown: list[str | bool] = []  # when it last looked
         self._is_unsure = False
@@ -44,6 +42,7 @@ class Junctions:
         self._edges, self._sight_m = road.edge_of, road.sight_m
         self._sees_m = sees_m
         self.matter = self._has_signals or road.gives_way
+        """Whether it may ever have to wait at one."""
 
     def places(self, speed_mps: float) -> tuple[tuple[Place, ...], tuple[Place, ...]]:
         """Return where right of way asks it to be slow: limits that may be met late, and places that may not.

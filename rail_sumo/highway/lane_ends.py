@@ -21,6 +21,11 @@ the other is: the one that must go left stands back, and the other passes it. SU
 """
 
 
+def other(side: Side) -> Side:
+    """Return the other side."""
+    return RIGHT if side == LEFT else LEFT
+
+
 def leading_on(ends_in_m: Mapping[int, float]) -> list[int]:
     """Return the lanes that nobody need leave by now; where all end soon, those that lead on farthest.
 

@@ -1,4 +1,4 @@
-"""How a driven vehicle is let into a lane beside, and whom it lets into its own, in SUMO."""
+"""How a driven vehicle gets others to make room for it in a lane beside, and makes room in its own, in SUMO."""
 
 import math
 
@@ -7,7 +7,7 @@ import libsumo
 from rail_sumo import config
 from rail_sumo.highway import acc, neighbours
 from rail_sumo.highway.acc import Leader
-from rail_sumo.highway.lane_ends import LEFT, RIGHT, STANDS_BEFORE_M, Side
+from rail_sumo.highway.lane_ends import LEFT, RIGHT, STANDS_BEFORE_M, Side, other
 from rail_sumo.highway.neighbours import Neighbours
 from rail_sumo.highway.whereabouts import to_lane_end_m
 
@@ -17,16 +17,14 @@ ASKS, ASSERTIVE, NOT_ASSERTIVE = 257, "laneChangeModel.lcAssertive", "1e-9"
 """The same, but it means to leave a lane that does not lead on; and how little it then insists on it."""
 INDICATOR = "rail_sumo.indicator"
 """The parameter of a host's vehicle by which others know to which side it must leave its lane, as by its indicator."""
-MUST_CHANGE = {LEFT: 2 | 8, RIGHT: 4 | 8}
-"""SUMO's bits of what a vehicle's lane changer means to do: to change to a side, since its lane does not lead on."""
-WANTS = {LEFT: 2, RIGHT: 4}
-"""The bit of them that tells to which side it means to change, for whatever reason."""
+WANTS, STRATEGIC = {LEFT: 2, RIGHT: 4}, 8
+"""SUMO's bits of what a vehicle's lane changer means to do: to change to a side; and that its lane does not lead on."""
 UNSURE_MPS = 0.5
 """By how much speeds change within a step, at most."""
 
 
 class LettingIn:
-    """Has others make room for one vehicle, and tells it for whom to make room.
+    """Asks others to make room for one vehicle, and tells how fast that may be to make room for others.
 
     Args:
         name: its id.
@@ -69,8 +67,8 @@ class LettingIn:
         between a slower vehicle behind and a faster one ahead, it would change at once; there the host does not ask.
         Where others come to drive so in the very same step SUMO takes that gap, and the host is in the next lane.
 
-        Nor does it ask while somebody ahead means to come into its own lane too near to it: SUMO takes it that whoever
-        insists so little makes way, however short the gap.
+        Nor does it ask while a vehicle ahead means to move into its own lane too close: SUMO takes a vehicle that
+        insists so little for one that gives way, and would let that happen at any gap.
         """
         asks = side != 0 and self._needs_room(side, speed_mps) and not self._is_cut_in_on(speed_mps)
         if asks == self.asks:
@@ -98,14 +96,15 @@ class LettingIn:
         )
 
     def _is_cut_in_on(self, mps: float) -> bool:
-        """Whether somebody next ahead in a lane beside means to come into its lane nearer than SUMO finds safe."""
+        """Whether the next vehicle ahead in a lane beside means to move into its lane closer than SUMO finds safe."""
         vehicle = libsumo.vehicle
         for side in (LEFT, RIGHT):
-            found, towards = self._beside.ahead(side), _other(side)
-            if found is None or not vehicle.getLaneChangeState(found[0], towards)[0] & WANTS[towards]:
-                continue
-            name, gap_m = found
-            if gap_m < vehicle.getSecureGap(self._name, mps, vehicle.getSpeed(name), vehicle.getDecel(name)):
+            name, gap_m = self._beside.ahead(side) or ("", math.inf)
+            if (
+                name
+                and _means(name, other(side)) & WANTS[other(side)]
+                and gap_m < vehicle.getSecureGap(self._name, mps, vehicle.getSpeed(name), vehicle.getDecel(name))
+            ):
                 return True
         return False
 
@@ -116,7 +115,7 @@ class LettingIn:
         self._in_from = [side for side in (LEFT, RIGHT) if self._who_must_come(side)]
 
     def allowed_mps(self, speed_mps: float) -> float:
-        """Return how fast it may be at the end of the next step, for those whom it lets in; inf if there are none."""
+        """Return the highest speed at the end of the next step that makes room; inf if nobody needs any."""
         if not self._in_from:
             return math.inf
         coming = filter(None, map(self._who_must_come, self._in_from))
@@ -131,15 +130,18 @@ class LettingIn:
         if found is None:
             return None
         name, gap_m = found
-        towards = _other(side)
+        towards = other(side)
+        must = WANTS[towards] | STRATEGIC
         if vehicle.getParameter(name, INDICATOR) == str(towards):
             before_m = STANDS_BEFORE_M[towards]
-        elif vehicle.getLaneChangeState(name, towards)[0] & MUST_CHANGE[towards] == MUST_CHANGE[towards]:
+        elif _means(name, towards) & must == must:
             before_m = 0.0
         else:
             return None
         return Leader(gap_m, vehicle.getSpeed(name)), max(to_lane_end_m(name) - before_m, 0.0)
 
 
-def _other(side: Side) -> Side:
-    return RIGHT if side == LEFT else LEFT
+def _means(name: str, side: Side) -> int:
+    """Return SUMO's bits of what a vehicle's lane changer means to do about the lane on a side."""
+    state: int = libsumo.vehicle.getLaneChangeState(name, side)[0]
+    return state

@@ -99,9 +99,8 @@ class Simulation:
         self._held = HeldVehicles()
         self._taken_over: dict[str, Inserted] = {}
         self._routes: dict[tuple[str, ...], str] = {}
-        self._laid_for: dict[
-            str, tuple[str, int]
-        ] = {}  # hosts' routes, and `_n_closings`, when their courses were laid
+        # When hosts' courses were laid: their routes, and `_n_closings`; 0 of one that has heeded no closing yet.
+        self._laid_for: dict[str, tuple[str, int]] = {}
         self._disallowed: list[Sequence[str]] = []  # who is, on each lane that may be closed, ...
         self._n_closings = 0  # ... and how often that has changed
         self.hosts: list[Host] = []

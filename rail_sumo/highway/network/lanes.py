@@ -45,11 +45,10 @@ def survey(net: Any, way: Way, without_foes: Set[tuple[str, int]]) -> Lanes:
     junctions_m = tuple(_through_m(net, joint) for joint in way.joints)
     abreast = [_abreast(net, joint, without_foes) for joint in way.joints]
     edges = tuple(
-        _edge(edge, lanes, *ahead)
+        _edge(edge, lanes, way, *ahead)
         for edge, lanes, *ahead in zip(
             way.edges,
             way.lanes,
-            [_apart_m(lanes, way.vclass, way.closed) for lanes in way.lanes],
             _leads_on_m(way),
             _limits_ahead(net, way, junctions_m),
             _goes_on_m(net, way, abreast, CHANGE_LEFT),
@@ -58,7 +57,7 @@ def survey(net: Any, way: Way, without_foes: Set[tuple[str, int]]) -> Lanes:
         )
     )
     joints = [
-        _inside_edge(net, joint, pairs, ahead, way.vclass)
+        _inside_edge(net, joint, pairs, ahead, way)
         for joint, pairs, ahead in zip(way.joints, abreast, (*edges[1:], edges[0]), strict=True)
         if pairs and joint[0].getViaLaneID()
     ]
@@ -181,13 +180,13 @@ def _next_lanes(net: Any, way: Way) -> dict[str, tuple[str, ...]]:
 def _edge(
     edge: Any,
     lanes: list[Any],
-    apart_m: tuple[tuple[float, ...], tuple[float, ...]],
+    way: Way,
     leads_on_m: tuple[float, ...],
     limits_ahead: tuple[tuple[float, float], ...],
     left_goes_on_m: tuple[float, ...],
     right_goes_on_m: tuple[float, ...],
 ) -> Edge:
-    to_left_m, to_right_m = apart_m
+    to_left_m, to_right_m = _apart_m(lanes, way)
     return Edge(
         id=edge.getID(),
         length_m=edge.getLength(),
@@ -203,11 +202,11 @@ def _edge(
     )
 
 
-def _inside_edge(net: Any, joint: Joint, abreast: list[Pair], ahead: Edge, vclass: str) -> Edge:
+def _inside_edge(net: Any, joint: Joint, abreast: list[Pair], ahead: Edge, way: Way) -> Edge:
     # The inside of a junction as an edge: its lanes may be changed where they may on both sides of it.
     lanes = [net.getLane(connection.getViaLaneID()) for connection in joint]
     there = [connection.getToLane().getIndex() - ahead.first_lane for connection in joint]
-    apart_m = _apart_m(lanes, vclass)
+    apart_m = _apart_m(lanes, way)
     rights, lefts = {right for right, _ in abreast}, {left for _, left in abreast}
     to_left_m = tuple(
         m * (c in rights and ahead.to_left_m[k] > 0.0) for m, c, k in zip(apart_m[0], joint, there, strict=True)
@@ -234,16 +233,15 @@ def _inside_edge(net: Any, joint: Joint, abreast: list[Pair], ahead: Edge, vclas
     )
 
 
-def _apart_m(
-    lanes: list[Any], vclass: str, closed: Set[str] = frozenset()
-) -> tuple[tuple[float, ...], tuple[float, ...]]:
+def _apart_m(lanes: list[Any], way: Way) -> tuple[tuple[float, ...], tuple[float, ...]]:
     # For each lane how far the centre of the one to its left is, and of the one to its right; 0 over a line, or where
     # that one is closed.
+    def may(here: Any, beside: Any, side: str) -> bool:
+        return beside.getID() not in way.closed and may_cross(here, side, way.vclass)
+
     pairs = [(right, left, 0.5 * (right.getWidth() + left.getWidth())) for right, left in itertools.pairwise(lanes)]
-    into_left = [left.getID() not in closed and may_cross(right, CHANGE_LEFT, vclass) for right, left, _ in pairs]
-    into_right = [right.getID() not in closed and may_cross(left, CHANGE_RIGHT, vclass) for right, left, _ in pairs]
-    to_left_m = [metres * may for (*_, metres), may in zip(pairs, into_left, strict=True)]
-    to_right_m = [metres * may for (*_, metres), may in zip(pairs, into_right, strict=True)]
+    to_left_m = [metres * may(right, left, CHANGE_LEFT) for right, left, metres in pairs]
+    to_right_m = [metres * may(left, right, CHANGE_RIGHT) for right, left, metres in pairs]
     return (*to_left_m, 0.0), (0.0, *to_right_m)
 
 
