@@ -31,8 +31,8 @@ from roads import listed
 from rail_sumo import config_file
 from rail_sumo.errors import InputError
 from rail_sumo.highway import env
-from rail_sumo.highway.adas import LATE_LATERAL_M
-from rail_sumo.highway.simulation import HOST, Simulation
+from rail_sumo.highway.sumo.simulation import HOST, Simulation
+from rail_sumo.highway.vehicle.adas import LATE_LATERAL_M
 from rail_sumo.records import Command, Trajectory
 from rail_sumo.rollout import EVALUATION, Task, drive, traffic_seed, workers
 

@@ -18,8 +18,8 @@ from rich.table import Table
 from rail_sumo import config_file
 from rail_sumo.config import Config, Traffic
 from rail_sumo.highway import env
-from rail_sumo.highway.hard_braking import hard_brakings
-from rail_sumo.highway.simulation import HOST, Simulation
+from rail_sumo.highway.sumo.simulation import HOST, Simulation
+from rail_sumo.highway.vehicle.hard_braking import hard_brakings
 from rail_sumo.records import SECONDS_PER_STEP
 from rail_sumo.rollout import EVALUATION, Task, drive, traffic_seed
 

@@ -18,7 +18,7 @@ from rail_sumo.config import Config
 from rail_sumo.config_file import load
 from rail_sumo.drivers import Driver
 from rail_sumo.highway.env import HighwayEnv
-from rail_sumo.highway.fleet import Fleet
+from rail_sumo.highway.traffic.fleet import Fleet
 from rail_sumo.rollout import Task
 
 MARK, FLEETS_MARK = 0.85, 0.5

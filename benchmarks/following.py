@@ -13,7 +13,7 @@ from rich.table import Table
 
 from rail_sumo import config
 from rail_sumo.highway.network import road
-from rail_sumo.highway.simulation import HOST, Simulation
+from rail_sumo.highway.sumo.simulation import HOST, Simulation
 from rail_sumo.records import KMH, SECONDS_PER_STEP, Command
 
 ANY_SPEED = config.Adas(max_speed_kmh=140.0, min_speed_kmh=40.0)

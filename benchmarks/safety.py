@@ -15,7 +15,7 @@ import numpy as np
 
 from rail_sumo import config_file
 from rail_sumo.highway import env
-from rail_sumo.highway.simulation import Simulation
+from rail_sumo.highway.sumo.simulation import Simulation
 from rail_sumo.records import Floats, Scene
 from rail_sumo.rollout import EVALUATION, Task, drive, traffic_seed, workers
 

@@ -37,9 +37,9 @@ import rail_sumo
 from rail_sumo import cli  # noqa: F401  spawned workers import this module again: let them carry what the CLI's carry
 from rail_sumo.config import Config
 from rail_sumo.config_file import load
-from rail_sumo.highway.lidar import Lidar
 from rail_sumo.highway.network import road
-from rail_sumo.highway.simulation import HOST
+from rail_sumo.highway.sumo.simulation import HOST
+from rail_sumo.highway.vehicle.lidar import Lidar
 from rail_sumo.policy import Policy, PolicyParameters
 from rail_sumo.records import SECONDS_PER_STEP, Scene
 from rail_sumo.rollout import EVALUATION, Task, Workers, drive, traffic_seed, workers

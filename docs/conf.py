@@ -40,7 +40,7 @@ nitpicky = True
 nitpick_ignore_regex = [("py:.*", r"(?!rail_sumo\b).*")]
 nitpick_ignore = [  # what signatures of the public names mention, and nobody outside needs
     ("py:class", "rail_sumo.config.Judge"),
-    ("py:class", "rail_sumo.highway.host.Host"),
+    ("py:class", "rail_sumo.highway.vehicle.host.Host"),
     ("py:class", "rail_sumo.highway.stretch.Stretch"),
 ]
 autodoc_member_order = "bysource"

@@ -15,9 +15,9 @@ from rail_sumo import assets
 from rail_sumo.config import Adas, Config, Senses
 from rail_sumo.config_file import first_difference, recorded
 from rail_sumo.errors import InputError, ObservationError, did_you_mean
-from rail_sumo.highway import acc
-from rail_sumo.highway.acc import Leader
 from rail_sumo.highway.agent import Agent
+from rail_sumo.highway.vehicle import acc
+from rail_sumo.highway.vehicle.acc import Leader
 from rail_sumo.policy import N_ACTIONS, PolicyParameters
 from rail_sumo.records import Floats, Gaps, MetaAction
 

@@ -21,9 +21,9 @@ from rail_sumo.config import Config
 from rail_sumo.errors import InputError, NotBegun
 from rail_sumo.highway.camera import Camera
 from rail_sumo.highway.env import HighwayEnv
-from rail_sumo.highway.fleet import Fleet, Instead
-from rail_sumo.highway.rides import Decide
-from rail_sumo.highway.simulation import Simulation
+from rail_sumo.highway.sumo.simulation import Simulation
+from rail_sumo.highway.traffic.fleet import Fleet, Instead
+from rail_sumo.highway.traffic.rides import Decide
 from rail_sumo.policy import PolicyParameters
 from rail_sumo.records import EndReason, Floats, Trajectory
 

@@ -9,7 +9,7 @@ import numpy as np
 
 import rail_sumo  # noqa: F401  registers the environment
 from rail_sumo.config_file import validate
-from rail_sumo.highway.simulation import Simulation
+from rail_sumo.highway.sumo.simulation import Simulation
 from rail_sumo.records import MetaAction
 
 KEEP, ACCELERATE, DECELERATE, LEFT, RIGHT = MetaAction

@@ -1,4 +1,4 @@
-"""What `rail_sumo.highway.lidar` computes, once more: side by side of every box, in plain Python floats.
+"""What `rail_sumo.highway.vehicle.lidar` computes, once more: side by side of every box, in plain Python floats.
 
 Slow, written for reading, and written otherwise than the kernel: it neither turns anything into a box's frame nor
 knows of slabs. A box is four corners, a ray ends where it crosses the line between two of them.

@@ -8,8 +8,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from rail_sumo.config import Adas
-from rail_sumo.highway import acc
-from rail_sumo.highway.acc import Leader
+from rail_sumo.highway.vehicle import acc
+from rail_sumo.highway.vehicle.acc import Leader
 from rail_sumo.records import KMH
 
 STEP_S = 0.1

@@ -6,9 +6,9 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from rail_sumo import config
-from rail_sumo.highway.adas import Adas, HandsOff, slowed_for
-from rail_sumo.highway.lane_ends import LEFT as TO_LEFT
-from rail_sumo.highway.lane_ends import STANDS_BEFORE_M
+from rail_sumo.highway.vehicle.adas import Adas, HandsOff, slowed_for
+from rail_sumo.highway.vehicle.lane_ends import LEFT as TO_LEFT
+from rail_sumo.highway.vehicle.lane_ends import STANDS_BEFORE_M
 from rail_sumo.records import KMH, SECONDS_PER_STEP, SUMO_DECIDES, Gaps, HostState, MetaAction
 
 KEEP, ACCELERATE, DECELERATE, LEFT, RIGHT = MetaAction

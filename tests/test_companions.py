@@ -12,11 +12,11 @@ from sketch import cut_road
 from rail_sumo import config_file, rollout
 from rail_sumo.errors import InputError
 from rail_sumo.highway.env import HighwayEnv
-from rail_sumo.highway.fleet import Fleet
-from rail_sumo.highway.host import HOST_TYPE, SUMO_CHANGES_LANES
 from rail_sumo.highway.network import ground
 from rail_sumo.highway.parallel_env import HighwayParallelEnv
-from rail_sumo.highway.simulation import HOST, Simulation
+from rail_sumo.highway.sumo.simulation import HOST, Simulation
+from rail_sumo.highway.traffic.fleet import Fleet
+from rail_sumo.highway.vehicle.host import HOST_TYPE, SUMO_CHANGES_LANES
 from rail_sumo.records import KMH, MetaAction
 from rail_sumo.rollout import Task, deciders, drive, workers
 

@@ -7,7 +7,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from rail_sumo.highway import crossing
+from rail_sumo.highway.vehicle import crossing
 
 HOST = (0.0, 0.0, 0.0, 5.0, 4.0, 2.0)
 """Heads east, its front at x = 2."""

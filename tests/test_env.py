@@ -36,12 +36,12 @@ from rail_sumo.config import Config
 from rail_sumo.errors import InputError
 from rail_sumo.highway import env as env_module
 from rail_sumo.highway.env import HighwayEnv
-from rail_sumo.highway.held import RESPECT_OTHERS_GAPS
-from rail_sumo.highway.host import SUMO_CHANGES_LANES
 from rail_sumo.highway.observation import feature_names
 from rail_sumo.highway.reward import reward, total_reward
-from rail_sumo.highway.simulation import HOST
-from rail_sumo.highway.traffic import MovingWindow
+from rail_sumo.highway.sumo.held import RESPECT_OTHERS_GAPS
+from rail_sumo.highway.sumo.simulation import HOST
+from rail_sumo.highway.traffic.moving_window import MovingWindow
+from rail_sumo.highway.vehicle.host import SUMO_CHANGES_LANES
 from rail_sumo.records import KMH, MetaAction
 from rail_sumo.rollout import EVALUATION, traffic_seed
 

@@ -10,7 +10,7 @@ from rail_sumo import assets
 from rail_sumo.config import Traffic
 from rail_sumo.errors import InputError
 from rail_sumo.highway.network import demand, ground
-from rail_sumo.highway.simulation import Simulation
+from rail_sumo.highway.sumo.simulation import Simulation
 from rail_sumo.pictures import fcd
 
 HEADER = "timestep_time;vehicle_id;vehicle_x;vehicle_y;vehicle_angle;vehicle_speed\n"

@@ -16,11 +16,11 @@ from sketch import cut_road
 
 from rail_sumo import config_file, rollout, roster
 from rail_sumo.errors import InputError
-from rail_sumo.highway import fleet
 from rail_sumo.highway.agent import Agent
 from rail_sumo.highway.env import HighwayEnv
-from rail_sumo.highway.fleet import Fleet, is_driven
-from rail_sumo.highway.simulation import Simulation
+from rail_sumo.highway.sumo.simulation import Simulation
+from rail_sumo.highway.traffic import fleet
+from rail_sumo.highway.traffic.fleet import Fleet, is_driven
 
 SEED = UNSEEN + 100
 

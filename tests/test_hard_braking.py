@@ -1,7 +1,7 @@
 import numpy as np
 import pytest
 
-from rail_sumo.highway.hard_braking import hard_brakings
+from rail_sumo.highway.vehicle.hard_braking import hard_brakings
 
 STEP_S = 0.1
 

@@ -10,7 +10,7 @@ from sketch import cut_road
 
 from rail_sumo import config
 from rail_sumo.highway.network import road
-from rail_sumo.highway.simulation import HOST, Simulation
+from rail_sumo.highway.sumo.simulation import HOST, Simulation
 from rail_sumo.records import Command
 
 STRIDE_M = 0.17

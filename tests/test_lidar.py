@@ -6,7 +6,7 @@ import slow_lidar
 from hypothesis import given
 from hypothesis import strategies as st
 
-from rail_sumo.highway.lidar import Lidar, first_hits
+from rail_sumo.highway.vehicle.lidar import Lidar, first_hits
 from rail_sumo.records import Scene
 
 RANGE_M = 100.0

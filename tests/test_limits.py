@@ -10,7 +10,7 @@ import pytest
 from driving import ACCELERATE, EMPTY, KEEP, LEFT, MERGE, RIGHT, UNSEEN, always, at_random, drive, world
 
 from rail_sumo.errors import InputError
-from rail_sumo.highway.simulation import HOST
+from rail_sumo.highway.sumo.simulation import HOST
 from rail_sumo.records import KMH
 
 

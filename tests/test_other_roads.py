@@ -13,7 +13,7 @@ from rail_sumo import assets, rollout
 from rail_sumo.errors import InputError
 from rail_sumo.highway import trial
 from rail_sumo.highway.env import HighwayEnv
-from rail_sumo.highway.simulation import HOST
+from rail_sumo.highway.sumo.simulation import HOST
 from rail_sumo.records import KMH
 
 

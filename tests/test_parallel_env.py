@@ -12,9 +12,9 @@ from driving import KEEP, LEFT, RIGHT, UNSEEN, led_off, on_ramp
 import rail_sumo
 from rail_sumo.errors import InputError
 from rail_sumo.highway.env import HighwayEnv
-from rail_sumo.highway.host import Host
 from rail_sumo.highway.isolated_parallel import IsolatedParallel
 from rail_sumo.highway.parallel_env import HighwayParallelEnv
+from rail_sumo.highway.vehicle.host import Host
 from rail_sumo.records import EPISODE_COLUMNS
 
 with warnings.catch_warnings():

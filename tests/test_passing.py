@@ -6,7 +6,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from rail_sumo.highway.passing import AHEAD, ALONGSIDE, AWAY, BEHIND, PassCounter, sides_of
+from rail_sumo.highway.vehicle.passing import AHEAD, ALONGSIDE, AWAY, BEHIND, PassCounter, sides_of
 from rail_sumo.records import Scene
 
 LENGTH_M = 5.0

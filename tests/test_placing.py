@@ -6,7 +6,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from rail_sumo.highway import placing
+from rail_sumo.highway.sumo import placing
 
 
 @pytest.mark.parametrize(

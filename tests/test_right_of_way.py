@@ -4,7 +4,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from rail_sumo.highway.right_of_way import GiveWay, Signal
+from rail_sumo.highway.vehicle.right_of_way import GiveWay, Signal
 
 STOPPING_M = 60.0 * 60.0 / 12.96 / 18.0  # from 60 km/h at 9 m/s²: 15.4 m
 

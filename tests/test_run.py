@@ -21,7 +21,7 @@ from sketch import cut_road
 from rail_sumo import assets, config, config_file, drivers, learners, rollout, roster, run, training
 from rail_sumo.errors import InputError, NotBegun
 from rail_sumo.highway.reward import total_reward
-from rail_sumo.highway.simulation import HOST
+from rail_sumo.highway.sumo.simulation import HOST
 from rail_sumo.imitation import gail
 from rail_sumo.imitation.demonstrations import Demonstrations, recorded_by
 from rail_sumo.policy import PolicyParameters

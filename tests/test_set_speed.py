@@ -10,9 +10,9 @@ from driving import ACCELERATE, DECELERATE, EMPTY, KEEP, MERGE, always, drive
 
 from rail_sumo import config, config_file
 from rail_sumo.errors import InputError
-from rail_sumo.highway.adas import Adas
 from rail_sumo.highway.env import HighwayEnv
-from rail_sumo.highway.simulation import HOST
+from rail_sumo.highway.sumo.simulation import HOST
+from rail_sumo.highway.vehicle.adas import Adas
 from rail_sumo.records import KMH, Gaps, HostState
 
 FREE = Gaps(ahead_m=math.inf, ahead_speed_mps=0.0, behind_m=math.inf, behind_speed_mps=0.0)

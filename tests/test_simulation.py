@@ -10,10 +10,10 @@ import pytest
 
 from rail_sumo import config
 from rail_sumo.errors import InputError
-from rail_sumo.highway.adas import SUMO_DECIDES, Adas
 from rail_sumo.highway.network import road
 from rail_sumo.highway.network.demand import Demand
-from rail_sumo.highway.simulation import HOST, Simulation
+from rail_sumo.highway.sumo.simulation import HOST, Simulation
+from rail_sumo.highway.vehicle.adas import SUMO_DECIDES, Adas
 from rail_sumo.records import KMH, Command, MetaAction, Scene
 
 STEP_S = 0.1

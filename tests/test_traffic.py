@@ -8,8 +8,8 @@ import pytest
 
 from rail_sumo import assets, config
 from rail_sumo.highway.network import road
-from rail_sumo.highway.simulation import HOST, Simulation
-from rail_sumo.highway.traffic import CLEAR_OF_ANOTHER_M, CLEAR_OF_HOST_M, START_GAP_M, MovingWindow
+from rail_sumo.highway.sumo.simulation import HOST, Simulation
+from rail_sumo.highway.traffic.moving_window import CLEAR_OF_ANOTHER_M, CLEAR_OF_HOST_M, START_GAP_M, MovingWindow
 from rail_sumo.records import KMH, Command
 
 START_M = 200.0

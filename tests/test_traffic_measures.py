@@ -8,7 +8,7 @@ import pytest
 from driving import UNSEEN
 
 from rail_sumo import config_file
-from rail_sumo.highway.fleet import Fleet
+from rail_sumo.highway.traffic.fleet import Fleet
 from rail_sumo.records import Lane
 from rail_sumo.tables import traffic
 from rail_sumo.tables.traffic import Reports, Run, Vehicle

@@ -12,8 +12,8 @@ from matplotlib.figure import Figure
 from matplotlib.patches import FancyBboxPatch, Rectangle
 
 from rail_sumo.config import Adas
-from rail_sumo.highway import acc, hard_braking
-from rail_sumo.highway.acc import Leader
+from rail_sumo.highway.vehicle import acc, hard_braking
+from rail_sumo.highway.vehicle.acc import Leader
 from rail_sumo.records import KMH, SECONDS_PER_STEP
 
 INK, FAINT = "#7a858d", "#b3bcc2"  # readable on white and on black

@@ -12,14 +12,14 @@ import numpy as np
 from rail_sumo.config import Config
 from rail_sumo.config import Lidar as LidarConfig
 from rail_sumo.highway import metrics
-from rail_sumo.highway.adas import Adas, HandsOff
-from rail_sumo.highway.host import Host
-from rail_sumo.highway.lidar import Lidar
 from rail_sumo.highway.network.road import Road
 from rail_sumo.highway.observation import Layout
-from rail_sumo.highway.passing import PassCounter
 from rail_sumo.highway.reward import reward
 from rail_sumo.highway.stretch import Stretch
+from rail_sumo.highway.vehicle.adas import Adas, HandsOff
+from rail_sumo.highway.vehicle.host import Host
+from rail_sumo.highway.vehicle.lidar import Lidar
+from rail_sumo.highway.vehicle.passing import PassCounter
 from rail_sumo.records import (
     SECONDS_PER_STEP,
     Command,

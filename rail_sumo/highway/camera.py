@@ -8,11 +8,11 @@ from typing import get_args
 import numpy as np
 
 from rail_sumo.film import Decision, Driven, Film, Ground, Holding, Mark, MarkKind, Stays, Vehicle
-from rail_sumo.highway import hard_braking
-from rail_sumo.highway.adas import slowed_for
 from rail_sumo.highway.env import HighwayEnv
-from rail_sumo.highway.lane_ends import LEFT
-from rail_sumo.highway.simulation import Simulation
+from rail_sumo.highway.sumo.simulation import Simulation
+from rail_sumo.highway.vehicle import hard_braking
+from rail_sumo.highway.vehicle.adas import slowed_for
+from rail_sumo.highway.vehicle.lane_ends import LEFT
 from rail_sumo.records import SECONDS_PER_STEP, Floats, MetaAction, Trajectory
 
 SEES_M = 250.0

@@ -13,15 +13,17 @@ from numpy.typing import NDArray
 from rail_sumo import assets
 from rail_sumo.config import FASTEST_CAR_MPS, Config
 from rail_sumo.errors import InputError, did_you_mean
-from rail_sumo.highway import drawing, entry, lane_ends, sumo_process, varied, window
+from rail_sumo.highway import drawing, sumo_process, varied, window
 from rail_sumo.highway.agent import Agent
-from rail_sumo.highway.companions import Companions
 from rail_sumo.highway.network import demand, markings, road
 from rail_sumo.highway.observation import bounds
-from rail_sumo.highway.rides import Decide, keep_to_way
-from rail_sumo.highway.simulation import HOST, Simulation
 from rail_sumo.highway.stretch import Stretch
-from rail_sumo.highway.traffic import MovingWindow
+from rail_sumo.highway.sumo.simulation import HOST, Simulation
+from rail_sumo.highway.traffic import entry
+from rail_sumo.highway.traffic.companions import Companions
+from rail_sumo.highway.traffic.moving_window import MovingWindow
+from rail_sumo.highway.traffic.rides import Decide, keep_to_way
+from rail_sumo.highway.vehicle import lane_ends
 from rail_sumo.records import KMH, SECONDS_PER_STEP, Floats, Gaps, HostState, MetaAction, Scene, Trajectory
 
 DEMAND_START_M = 10.0

@@ -6,8 +6,8 @@ from typing import Any
 import numpy as np
 
 from rail_sumo.config import Adas
-from rail_sumo.highway.hard_braking import hard_brakings
 from rail_sumo.highway.reward import lateral_reward, longitudinal_reward
+from rail_sumo.highway.vehicle.hard_braking import hard_brakings
 from rail_sumo.records import KMH, SECONDS_PER_STEP, MetaAction, Trajectory
 
 

@@ -12,12 +12,13 @@ from pettingzoo.utils.env import ParallelEnv
 from rail_sumo import assets
 from rail_sumo.config import Config
 from rail_sumo.errors import InputError
-from rail_sumo.highway import entry, sumo_process
+from rail_sumo.highway import sumo_process
 from rail_sumo.highway.agent import KEEP_ALONE, Agent
 from rail_sumo.highway.network import demand, road
 from rail_sumo.highway.observation import bounds
-from rail_sumo.highway.rides import Ride, Rides
-from rail_sumo.highway.simulation import Simulation
+from rail_sumo.highway.sumo.simulation import Simulation
+from rail_sumo.highway.traffic import entry
+from rail_sumo.highway.traffic.rides import Ride, Rides
 from rail_sumo.records import SECONDS_PER_STEP, EndReason, Floats, MetaAction
 
 Infos = dict[str, dict[str, Any]]

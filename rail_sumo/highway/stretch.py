@@ -6,8 +6,8 @@ from dataclasses import dataclass
 from rail_sumo.config import Adas, Config
 from rail_sumo.errors import CourseError
 from rail_sumo.highway.network.road import Road
-from rail_sumo.highway.passing import NEAR_M
-from rail_sumo.highway.placing import VEHICLE_M
+from rail_sumo.highway.sumo.placing import VEHICLE_M
+from rail_sumo.highway.vehicle.passing import NEAR_M
 from rail_sumo.records import KMH
 
 MARGIN_M = 50.0

@@ -14,7 +14,7 @@ from rail_sumo import assets, config_file, rollout, training
 from rail_sumo.config import Config, flat
 from rail_sumo.config_file import first_difference
 from rail_sumo.errors import InputError
-from rail_sumo.highway.fleet import Instead
+from rail_sumo.highway.traffic.fleet import Instead
 from rail_sumo.rollout import EVALUATION, Who, traffic_seed
 from rail_sumo.studies import cells
 from rail_sumo.tables import report, traffic

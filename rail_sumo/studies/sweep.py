@@ -20,8 +20,8 @@ from rail_sumo import config_file, drivers, rollout, roster, run, training
 from rail_sumo.config import Config
 from rail_sumo.errors import InputError
 from rail_sumo.files import check_folder, whole_file
-from rail_sumo.highway.fleet import Instead, demand_of, sumo_command
 from rail_sumo.highway.network import demand, road
+from rail_sumo.highway.traffic.fleet import Instead, demand_of, sumo_command
 from rail_sumo.pictures import plot
 from rail_sumo.records import Floats
 from rail_sumo.rollout import EVALUATION, SILENT, Observer, Who, traffic_seed

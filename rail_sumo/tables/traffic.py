@@ -13,8 +13,8 @@ from typing import Any, NamedTuple
 import numpy as np
 import pandas as pd
 
-from rail_sumo.highway import hard_braking
-from rail_sumo.highway.hard_braking import AVERAGED_STEPS, EASED_MPS2, HARD_MPS2
+from rail_sumo.highway.vehicle import hard_braking
+from rail_sumo.highway.vehicle.hard_braking import AVERAGED_STEPS, EASED_MPS2, HARD_MPS2
 from rail_sumo.records import KMH, SECONDS_PER_STEP, Lane
 
 SAMPLED_S = AVERAGED_STEPS * SECONDS_PER_STEP

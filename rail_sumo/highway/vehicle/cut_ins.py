@@ -5,7 +5,7 @@ from dataclasses import dataclass
 
 import libsumo
 
-from rail_sumo.highway.hard_braking import hard_brakings
+from rail_sumo.highway.vehicle.hard_braking import hard_brakings
 
 WATCH_STEPS = 50
 """How long the vehicle behind is watched after another has moved in front of it: 5 s."""

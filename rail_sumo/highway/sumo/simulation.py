@@ -10,15 +10,16 @@ import libsumo
 
 from rail_sumo import config
 from rail_sumo.errors import InputError
-from rail_sumo.highway import inserted, sumo_process
-from rail_sumo.highway.held import HeldVehicles
-from rail_sumo.highway.host import HOST_TYPE, Host
-from rail_sumo.highway.inserted import Inserted
+from rail_sumo.highway import sumo_process
 from rail_sumo.highway.names import CARS, HOST, OURS
 from rail_sumo.highway.network import sumo_xml
 from rail_sumo.highway.network.demand import Demand
 from rail_sumo.highway.network.road import Road
-from rail_sumo.highway.sight import Sight
+from rail_sumo.highway.sumo import inserted
+from rail_sumo.highway.sumo.held import HeldVehicles
+from rail_sumo.highway.sumo.inserted import Inserted
+from rail_sumo.highway.sumo.sight import Sight
+from rail_sumo.highway.vehicle.host import HOST_TYPE, Host
 from rail_sumo.records import SECONDS_PER_STEP, Command, Lane, Scene
 
 # Ids that no demand of a user's has; the types' are those of the two files below.

@@ -6,7 +6,7 @@ from collections.abc import Iterable, Iterator, Mapping, Sequence
 import libsumo
 
 from rail_sumo.highway.network.road import Road
-from rail_sumo.highway.whereabouts import to_lane_end_m
+from rail_sumo.highway.vehicle.whereabouts import to_lane_end_m
 from rail_sumo.records import Gaps
 
 OVER_JOINTS = 2

@@ -8,7 +8,7 @@ from typing import NamedTuple
 import libsumo
 import numpy as np
 
-from rail_sumo.highway import placing
+from rail_sumo.highway.sumo import placing
 from rail_sumo.records import Floats, Scene
 
 SEEN_FOR_S, FASTEST_MPS = 0.95, 70.0

@@ -6,11 +6,11 @@ from functools import partial
 
 from rail_sumo.config import Config
 from rail_sumo.errors import CourseError, InputError
-from rail_sumo.highway import entry
 from rail_sumo.highway.agent import Agent
-from rail_sumo.highway.inserted import Inserted
-from rail_sumo.highway.simulation import Simulation
 from rail_sumo.highway.stretch import Stretch
+from rail_sumo.highway.sumo.inserted import Inserted
+from rail_sumo.highway.sumo.simulation import Simulation
+from rail_sumo.highway.traffic import entry
 from rail_sumo.records import Floats, MetaAction
 
 Decide = Callable[[Floats, Agent], int]

@@ -7,7 +7,7 @@ import numpy as np
 
 from rail_sumo import config
 from rail_sumo.highway.network.road import Road
-from rail_sumo.highway.simulation import Simulation
+from rail_sumo.highway.sumo.simulation import Simulation
 from rail_sumo.records import KMH
 
 START_GAP_M, START_GAP_S = 30.0, 1.5

@@ -6,7 +6,7 @@ from dataclasses import dataclass
 import libsumo
 
 from rail_sumo.highway.names import CARS
-from rail_sumo.highway.whereabouts import way_of
+from rail_sumo.highway.vehicle.whereabouts import way_of
 
 
 @dataclass(frozen=True, slots=True)

@@ -5,11 +5,11 @@ import math
 import libsumo
 
 from rail_sumo import config
-from rail_sumo.highway import acc, neighbours
-from rail_sumo.highway.acc import Leader
-from rail_sumo.highway.lane_ends import LEFT, RIGHT, STANDS_BEFORE_M, Side, other
-from rail_sumo.highway.neighbours import Neighbours
-from rail_sumo.highway.whereabouts import to_lane_end_m
+from rail_sumo.highway.vehicle import acc, neighbours
+from rail_sumo.highway.vehicle.acc import Leader
+from rail_sumo.highway.vehicle.lane_ends import LEFT, RIGHT, STANDS_BEFORE_M, Side, other
+from rail_sumo.highway.vehicle.neighbours import Neighbours
+from rail_sumo.highway.vehicle.whereabouts import to_lane_end_m
 
 COMMANDED_ONLY = 256
 """Lane-change mode of the host: no change of its own accord; the ADAS layer is the gate, SUMO only avoids overlap."""

@@ -10,12 +10,13 @@ from typing import Literal
 from rail_sumo import assets
 from rail_sumo.config import Config
 from rail_sumo.errors import CourseError, InputError
-from rail_sumo.highway import entry, sumo_process
-from rail_sumo.highway.inserted import Inserted
+from rail_sumo.highway import sumo_process
 from rail_sumo.highway.network import demand, road
 from rail_sumo.highway.network.demand import Demand
-from rail_sumo.highway.rides import Decide, Ride, Rides
-from rail_sumo.highway.simulation import Simulation, options_of
+from rail_sumo.highway.sumo.inserted import Inserted
+from rail_sumo.highway.sumo.simulation import Simulation, options_of
+from rail_sumo.highway.traffic import entry
+from rail_sumo.highway.traffic.rides import Decide, Ride, Rides
 from rail_sumo.records import SECONDS_PER_STEP, Lane
 
 Instead = Literal["nothing", "acc"]

@@ -6,11 +6,11 @@ from collections.abc import Sequence
 import libsumo
 
 from rail_sumo import config
-from rail_sumo.highway import crossing
 from rail_sumo.highway.network.edge import Edge
 from rail_sumo.highway.network.road import Road
-from rail_sumo.highway.right_of_way import NOT_GREEN, SIGHT_M, GiveWay, Place, Signal
-from rail_sumo.highway.whereabouts import to_junction_end_m, to_lane_end_m, way_of
+from rail_sumo.highway.vehicle import crossing
+from rail_sumo.highway.vehicle.right_of_way import NOT_GREEN, SIGHT_M, GiveWay, Place, Signal
+from rail_sumo.highway.vehicle.whereabouts import to_junction_end_m, to_lane_end_m, way_of
 from rail_sumo.records import SECONDS_PER_STEP, Floats
 
 SUMO_SPEED_MODE = 31

@@ -8,12 +8,12 @@ import numpy as np
 
 from rail_sumo.config import Config
 from rail_sumo.errors import CourseError, InputError
-from rail_sumo.highway.inserted import Inserted
 from rail_sumo.highway.names import CARS, MOTOR_VEHICLES
 from rail_sumo.highway.network import road
 from rail_sumo.highway.network.demand import Demand
-from rail_sumo.highway.simulation import Simulation
 from rail_sumo.highway.stretch import Stretch
+from rail_sumo.highway.sumo.inserted import Inserted
+from rail_sumo.highway.sumo.simulation import Simulation
 from rail_sumo.records import SECONDS_PER_STEP
 
 WAIT_S = 600.0

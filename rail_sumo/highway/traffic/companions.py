@@ -5,12 +5,12 @@ from collections.abc import Callable, Collection, Iterable
 from dataclasses import replace
 
 from rail_sumo.config import FASTEST_CAR_MPS, Config
-from rail_sumo.highway import inserted
-from rail_sumo.highway.inserted import Inserted
-from rail_sumo.highway.rides import Decide, Rides
-from rail_sumo.highway.simulation import Simulation
 from rail_sumo.highway.stretch import Stretch
-from rail_sumo.highway.traffic import MovingWindow
+from rail_sumo.highway.sumo import inserted
+from rail_sumo.highway.sumo.inserted import Inserted
+from rail_sumo.highway.sumo.simulation import Simulation
+from rail_sumo.highway.traffic.moving_window import MovingWindow
+from rail_sumo.highway.traffic.rides import Decide, Rides
 
 
 class Companions:

@@ -10,9 +10,9 @@ from typing import Literal
 
 from rail_sumo import config
 from rail_sumo.film import Why
-from rail_sumo.highway import acc, lane_ends
-from rail_sumo.highway.hard_braking import HARD_MPS2
-from rail_sumo.highway.lane_ends import LEFT, RIGHT, Side
+from rail_sumo.highway.vehicle import acc, lane_ends
+from rail_sumo.highway.vehicle.hard_braking import HARD_MPS2
+from rail_sumo.highway.vehicle.lane_ends import LEFT, RIGHT, Side
 from rail_sumo.records import KMH, SECONDS_PER_STEP, SUMO_DECIDES, Command, Gaps, HostState, MetaAction
 
 LATE_LATERAL_M = 0.25

@@ -8,15 +8,15 @@ import libsumo
 
 from rail_sumo import config
 from rail_sumo.errors import InputError
-from rail_sumo.highway import acc, neighbours
-from rail_sumo.highway.acc import Leader
-from rail_sumo.highway.cut_ins import CutIns
-from rail_sumo.highway.junctions import SUMO_SPEED_MODE, Junctions
-from rail_sumo.highway.letting_in import COMMANDED_ONLY, LettingIn
 from rail_sumo.highway.names import HOST
-from rail_sumo.highway.neighbours import Neighbours
 from rail_sumo.highway.network.road import Road
-from rail_sumo.highway.whereabouts import to_lane_end_m, way_of
+from rail_sumo.highway.vehicle import acc, neighbours
+from rail_sumo.highway.vehicle.acc import Leader
+from rail_sumo.highway.vehicle.cut_ins import CutIns
+from rail_sumo.highway.vehicle.junctions import SUMO_SPEED_MODE, Junctions
+from rail_sumo.highway.vehicle.letting_in import COMMANDED_ONLY, LettingIn
+from rail_sumo.highway.vehicle.neighbours import Neighbours
+from rail_sumo.highway.vehicle.whereabouts import to_lane_end_m, way_of
 from rail_sumo.records import SECONDS_PER_STEP, SUMO_DECIDES, Command, Gaps, HostState, Scene
 
 HOST_TYPE = HOST
