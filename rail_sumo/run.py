@@ -23,7 +23,7 @@ from rail_sumo.highway import metrics, varied
 from rail_sumo.highway.env import HighwayEnv
 from rail_sumo.highway.network import demand, road
 from rail_sumo.highway.observation import feature_names
-from rail_sumo.highway.sumo.simulation import floating_car_data
+from rail_sumo.highway.sumo.options import floating_car_data
 from rail_sumo.imitation.demonstrations import DRIVER_SHA256, Demonstrations
 from rail_sumo.policy import ARGMAX, SAMPLED
 from rail_sumo.records import Trajectory

@@ -13,7 +13,7 @@ from rail_sumo import assets, drivers
 from rail_sumo.highway.camera import HOLDINGS, Camera
 from rail_sumo.highway.env import HighwayEnv
 from rail_sumo.highway.network import ground
-from rail_sumo.highway.sumo.simulation import floating_car_data
+from rail_sumo.highway.sumo.options import floating_car_data
 from rail_sumo.highway.vehicle.hard_braking import hard_brakings
 from rail_sumo.records import MetaAction
 from rail_sumo.rollout import driver_of

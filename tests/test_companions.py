@@ -16,7 +16,8 @@ from rail_sumo.highway.network import ground
 from rail_sumo.highway.parallel_env import HighwayParallelEnv
 from rail_sumo.highway.sumo.simulation import HOST, Simulation
 from rail_sumo.highway.traffic.fleet import Fleet
-from rail_sumo.highway.vehicle.host import HOST_TYPE, SUMO_CHANGES_LANES
+from rail_sumo.highway.vehicle.abilities import HOST_TYPE
+from rail_sumo.highway.vehicle.host import SUMO_CHANGES_LANES
 from rail_sumo.records import KMH, MetaAction
 from rail_sumo.rollout import Task, deciders, drive, workers
 
@@ -263,7 +264,7 @@ def test_what_holds_for_the_host_alone_does_not_hold_for_them(make):
     """They are of one vehicle type."""
     env = make(among(6), companions=always(MetaAction.ACCELERATE))
     env.reset(seed=SEED)
-    env.agent.host.hold_below(10.0)
+    env.agent.host.abilities.hold_below(10.0)
     assert libsumo.vehicle.getMaxSpeed(HOST) == 10.0
     assert libsumo.vehicletype.getMaxSpeed(HOST_TYPE) == pytest.approx(80 / KMH, abs=0.01)
 

@@ -8,7 +8,7 @@ from driving import ACCELERATE, KEEP, always, drive, world
 from rail_sumo import assets, run
 from rail_sumo.errors import InputError
 from rail_sumo.highway.sumo.simulation import Simulation
-from rail_sumo.highway.vehicle.host import HOST_TYPE
+from rail_sumo.highway.vehicle.abilities import HOST_TYPE
 
 CARS = 40
 """One every 10 s, every fourth of them a lorry."""

@@ -133,7 +133,8 @@ class Camera:
         if not agent.is_driven_by_us:
             return "SUMO"
         steadily: Holding = "limit" if set_mps >= state.limit_mps else "set speed"
-        if host.speeds_mps[-1] > host.ceiling_mps - SLACK_MPS and set_mps > host.ceiling_mps:
+        ceiling_mps = host.abilities.ceiling_mps
+        if host.speeds_mps[-1] > ceiling_mps - SLACK_MPS and set_mps > ceiling_mps:
             steadily = "top speed"
         if len(host.speeds_mps) < 2:
             return steadily
@@ -142,7 +143,7 @@ class Camera:
         gap_m = self._gap_m[-1]  # before that step
         commanded_mps, told_mps = host.told_mps
         waits: Holding = "signal" if host.junctions.waits_for_signal else "right of way"
-        reachable_mps = min(told_mps, host.ceiling_mps, before_mps + adas.acceleration_mps2 * SECONDS_PER_STEP)
+        reachable_mps = min(told_mps, ceiling_mps, before_mps + adas.acceleration_mps2 * SECONDS_PER_STEP)
         if now_mps < reachable_mps - SLACK_MPS:
             return "emergency" if gap_m < TOO_CLOSE_S * before_mps + TOO_CLOSE_M else waits
         if told_mps < commanded_mps:

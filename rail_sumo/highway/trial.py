@@ -156,7 +156,7 @@ def _backlog(env: HighwayEnv) -> Iterator[str]:
 
 def _slowness(env: HighwayEnv) -> Iterator[str]:
     """Tell where the host's own vehicle cannot drive as fast as the road allows: all drivers may then drive alike."""
-    top_mps, limit_mps = env.agent.host.ceiling_mps, env.agent.host.fastest_mps
+    top_mps, limit_mps = env.agent.host.abilities.ceiling_mps, env.agent.host.fastest_mps
     if top_mps < limit_mps - 0.1:
         yield (
             f"the host's own vehicle is no faster than {top_mps * KMH:.0f} km/h (its maxSpeed), and the course allows "

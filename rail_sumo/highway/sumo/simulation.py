@@ -16,13 +16,16 @@ from rail_sumo.highway.network import sumo_xml
 from rail_sumo.highway.network.demand import Demand
 from rail_sumo.highway.network.road import Road
 from rail_sumo.highway.sumo import inserted
+from rail_sumo.highway.sumo.closings import Closings
 from rail_sumo.highway.sumo.held import HeldVehicles
 from rail_sumo.highway.sumo.inserted import Inserted
+from rail_sumo.highway.sumo.options import options_of
 from rail_sumo.highway.sumo.sight import Sight
-from rail_sumo.highway.vehicle.host import HOST_TYPE, Host
+from rail_sumo.highway.vehicle.abilities import HOST_TYPE
+from rail_sumo.highway.vehicle.host import Host
 from rail_sumo.records import SECONDS_PER_STEP, Command, Lane, Scene
 
-# Ids that no demand of a user's has; the types' are those of the two files below.
+# Ids that no demand of a user's has; the types' are those of the two files beside this one.
 TRAFFIC_TYPE, LORRY_TYPE = f"{OURS}traffic_", f"{OURS}lorry_"
 """Followed by the car-following model's name."""
 MADE_CLASS = "passenger"
@@ -33,31 +36,11 @@ DECIDES_EVERY_S = 0.5
 """How often a vehicle of the made traffic decides: its types' `actionStepLength`."""
 ORDER_ROOM_M = 30.0
 """Farther than any vehicle drives in that time."""
-HOST_TYPES = Path(__file__).with_name("host.add.xml")
-TRAFFIC_TYPES = Path(__file__).with_name("traffic.add.xml")
-"""The types as SUMO has them by default, whatever a user's demand says of its default. The made traffic decides every
-0.5 s, which halves what it costs, and brakes by 3 m/s², which calms it. Its types are kept away from a user's demand:
-one type with an `actionStepLength` of its own, though nobody is of it, makes SUMO drive everybody differently."""
-
-OUR_OPTIONS = {
-    "step-length": SECONDS_PER_STEP,
-    "collision.action": "warn",
-    "collision.mingap-factor": 0,
-    "collision.check-junctions": "true",
-    "no-step-log": "true",
-    "no-warnings": "true",
-    "xml-validation": "never",
-}
-"""What SUMO is always told: contacts are counted and not removed, and nothing is said."""
-MADE_TRAFFIC_OPTIONS = {"time-to-teleport": -1, "max-depart-delay": 0}
-"""What it is told beside these of a window's traffic: a vehicle enters at once or not at all, and never teleports."""
 NOTHING = Demand()
 
 LEAVE_ENDING_LANES = 513
 """Lane-change mode: away from a lane that does not lead on, otherwise as `held.RESPECT_OTHERS_GAPS`."""
 
-SEEDS = 2**31
-"""SUMO takes seeds below this."""
 WAIT_S, GAP_WAIT_S = 120.0, 30.0
 """How long to wait for the host to enter, and of that for a gap that lets it do so at its starting speed."""
 NEAR_ENTRY_M = 100.0
@@ -100,10 +83,8 @@ class Simulation:
         self._held = HeldVehicles()
         self._taken_over: dict[str, Inserted] = {}
         self._routes: dict[tuple[str, ...], str] = {}
-        # When hosts' courses were laid: their routes, and `_n_closings`; 0 of one that has heeded no closing yet.
+        # When hosts' courses were laid: their routes, and the number of closings; 0 of one that has heeded none yet.
         self._laid_for: dict[str, tuple[str, int]] = {}
-        self._disallowed: list[Sequence[str]] = []  # who is, on each lane that may be closed, ...
-        self._n_closings = 0  # ... and how often that has changed
         self.hosts: list[Host] = []
         """The vehicles that are driven; the first is `host`."""
         self.watch: Callable[[], None] | None = None
@@ -122,8 +103,7 @@ class Simulation:
             which = f"'{damaged.name}'" if damaged else "the network or its demand"
             raise InputError(f"SUMO cannot load {which}: {error}") from None
         self._is_open = True
-        self._may_be_closed = sorted(demand.lanes_closed.intersection(libsumo.lane.getIDList()))
-        self._notice_closings()
+        self._closings = Closings(demand.lanes_closed)
         if limit_factor != 1.0:
             for lane in libsumo.lane.getIDList():
                 libsumo.lane.setMaxSpeed(lane, libsumo.lane.getMaxSpeed(lane) * limit_factor)
@@ -333,7 +313,7 @@ class Simulation:
             if number and self.host.name not in libsumo.simulation.getPendingVehicles():
                 slower = True
                 self._enter("max")
-                self.host.hold_below(self._ceiling_mps)
+                self.host.abilities.hold_below(self._ceiling_mps)
             with sumo_process.silenced():  # a host that cannot enter so fast enters more slowly
                 libsumo.simulation.step()
             if self.host.name in libsumo.simulation.getDepartedIDList():
@@ -345,7 +325,7 @@ class Simulation:
                 f"'{edges[0]}'; use a lighter demand, or begin elsewhere by network.course"
             )
         if slower:
-            self.host.hold_below(self.host.fastest_mps)
+            self.host.abilities.hold_below(self.host.fastest_mps)
         self._begin(self.host)
 
     def _begin(self, host: Host) -> None:
@@ -363,17 +343,11 @@ class Simulation:
         self._laid_for[host.name] = self._way_now(host)
 
     def _way_now(self, host: Host) -> tuple[str, int]:
-        return libsumo.vehicle.getRouteID(host.name), self._n_closings
+        return libsumo.vehicle.getRouteID(host.name), self._closings.number
 
     def closed_to(self, vclass: str) -> frozenset[str]:
         """Return the lanes that are closed to a class of vehicles now, of those that the demand closes for a time."""
-        lanes = zip(self._may_be_closed, self._disallowed, strict=True)
-        return frozenset(lane for lane, disallowed in lanes if vclass in disallowed)
-
-    def _notice_closings(self) -> None:
-        disallowed = [libsumo.lane.getDisallowed(lane) for lane in self._may_be_closed]
-        self._n_closings += disallowed != self._disallowed
-        self._disallowed = disallowed
+        return self._closings.to(vclass)
 
     # What is around the host.
 
@@ -444,8 +418,7 @@ class Simulation:
         libsumo.simulation.step()
 
     def _note(self) -> None:
-        if self._may_be_closed:
-            self._notice_closings()
+        self._closings.notice()
         for host in self.hosts:
             host.note()
         if self.watch is not None:
@@ -495,30 +468,3 @@ class Simulation:
     def run_without_host(self, seconds: float) -> None:
         """Let the traffic drive, for one step at least, before the host is watched."""
         libsumo.simulation.step(libsumo.simulation.getTime() + max(seconds, SECONDS_PER_STEP))
-
-
-def options_of(net_file: Path, demand: Demand, *, begin_s: float, seed: int) -> dict[str, object]:
-    """Return what SUMO is started with, by the options' names."""
-    types = (HOST_TYPES,) if demand.has_traffic else (HOST_TYPES, TRAFFIC_TYPES)
-    return {
-        "net-file": net_file,
-        "additional-files": ",".join(map(str, (*types, *demand.additional))),
-        "begin": begin_s,
-        **({} if demand.has_traffic else MADE_TRAFFIC_OPTIONS),
-        **demand.options,
-        **OUR_OPTIONS,
-        "seed": seed % SEEDS,
-        **({"route-files": ",".join(map(str, demand.routes))} if demand.routes else {}),
-    }
-
-
-def floating_car_data(file: Path, *, reach_m: float) -> tuple[str, ...]:
-    """Return the options that have SUMO write, on every step, where the host is and who is within reach of it.
-
-    Parquet, CSV or XML, by the file's suffix. `HOST` in them stands for whatever the host's id is.
-    """
-    columns = "x,y,angle,type,speed,acceleration,lane,pos,odometer"
-    return (
-        *("--fcd-output", str(file), "--fcd-output.attributes", columns),
-        *("--device.fcd.explicit", HOST, "--device.fcd.radius", str(reach_m)),
-    )

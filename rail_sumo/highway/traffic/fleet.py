@@ -14,7 +14,8 @@ from rail_sumo.highway import sumo_process
 from rail_sumo.highway.network import demand, road
 from rail_sumo.highway.network.demand import Demand
 from rail_sumo.highway.sumo.inserted import Inserted
-from rail_sumo.highway.sumo.simulation import Simulation, options_of
+from rail_sumo.highway.sumo.options import options_of
+from rail_sumo.highway.sumo.simulation import Simulation
 from rail_sumo.highway.traffic import entry
 from rail_sumo.highway.traffic.rides import Decide, Ride, Rides
 from rail_sumo.records import SECONDS_PER_STEP, Lane

@@ -97,7 +97,7 @@ def lay_anew(agent: Agent, simulation: Simulation, world: Config, *, until_arriv
     now = simulation.seen(host.name)
     if now is None:
         return False
-    now, closed = replace(now, vclass=host.vclass), simulation.closed_to(host.vclass)
+    now, closed = replace(now, vclass=host.abilities.vclass), simulation.closed_to(host.abilities.vclass)
     lay = partial(entry.stretch_of, now, world, to_its_end=until_arrival)
     try:
         stretch = lay(closed=closed)
@@ -107,7 +107,7 @@ def lay_anew(agent: Agent, simulation: Simulation, world: Config, *, until_arriv
     except CourseError:
         simulation.note_way(host)
         return False
-    host.heed_closings(heeds)
+    host.abilities.heed_closings(heeds)
     if heeds:
         simulation.note_way(host)
     agent.follow(stretch)

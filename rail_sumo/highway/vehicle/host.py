@@ -1,7 +1,6 @@
 """The host on SUMO: what its sensors and its ADAS layer can know, how it obeys, and what is recorded."""
 
 import math
-from collections import deque
 from collections.abc import Callable, Iterable, Mapping
 
 import libsumo
@@ -11,35 +10,18 @@ from rail_sumo.errors import InputError
 from rail_sumo.highway.names import HOST
 from rail_sumo.highway.network.road import Road
 from rail_sumo.highway.vehicle import acc, neighbours
-from rail_sumo.highway.vehicle.acc import Leader
+from rail_sumo.highway.vehicle.abilities import EXPECTED_BRAKING_MPS2, UNLIMITED, Abilities
+from rail_sumo.highway.vehicle.ahead import Ahead
 from rail_sumo.highway.vehicle.cut_ins import CutIns
 from rail_sumo.highway.vehicle.junctions import SUMO_SPEED_MODE, Junctions
 from rail_sumo.highway.vehicle.letting_in import COMMANDED_ONLY, LettingIn
 from rail_sumo.highway.vehicle.neighbours import Neighbours
+from rail_sumo.highway.vehicle.sumos_changes import SumosChanges
 from rail_sumo.highway.vehicle.whereabouts import to_lane_end_m, way_of
-from rail_sumo.records import SECONDS_PER_STEP, SUMO_DECIDES, Command, Gaps, HostState, Scene
-
-HOST_TYPE = HOST
-"""The id of its vehicle type."""
+from rail_sumo.records import SUMO_DECIDES, Command, Gaps, HostState, Scene
 
 SUMO_CHANGES_LANES = 1621
 """SUMO's default lane-change mode."""
-UNLIMITED = 10.0
-"""Speed factor with which SUMO does not hold the host to the road's limits."""
-AS_ALLOWED = 1.00001
-"""Speed factor with which SUMO's own driver drives as fast as is allowed: networks tell 80 km/h as 22.2222 m/s."""
-
-AEB_TIME_GAP_S = 0.5
-"""What emergency braking keeps to the vehicle ahead: less than adaptive cruise control does, which it is not to
-disturb. SUMO keeps clear of contacts as long as this is no shorter than a step."""
-GENTLE_MPS2 = 3.0
-"""How hard SUMO may brake the host for who comes first, where it is slow and near the line."""
-EXPECTED_BRAKING_MPS2 = 4.5
-"""The braking that other vehicles expect of the host."""
-IGNORING = "ignoring"
-"""SUMO's class of vehicles to which no lane is closed."""
-EDGES_PER_STEP = 10
-"""Onto no more edges than these, junctions' insides included, does a vehicle come within a step."""
 SLACK_M = 100.0
 """Junctions are heeded from this much farther away than the host needs to stop comfortably from its highest speed."""
 
@@ -67,31 +49,24 @@ class Host:
         shares_type: bool = False,
     ) -> None:
         self.name = name
-        self._shares_type = shares_type
         self._look_around = look_around
         self._claims = claims
         self._adas = adas
-        self._standstill_gap_m = adas.standstill_gap_m
         self._neighbours = Neighbours(name, standstill_gap_m=adas.standstill_gap_m)
         self._letting_in = LettingIn(name, self._neighbours, adas)
         self.junctions = Junctions(name, adas)
         """What it meets at those ahead."""
+        self._ahead = Ahead(name, standstill_gap_m=adas.standstill_gap_m)
+        self._sumos_changes = SumosChanges(name)
         self._know(road)
-        self.ceiling_mps = self.fastest_mps
-        """How fast its vehicle may be: no faster than it can, though its course allows it."""
-        self._can_mps = math.inf
-        self._class = ""  # its own, while it drives on into a lane that was closed too late
+        self.abilities = Abilities(name, adas, fastest_mps=self.fastest_mps, shares_type=shares_type)
+        """What SUMO lets it do."""
         self._before_m = 0.0
         self._lateral_m = 0.0
-        self._is_gentle = self._is_of_a_demand = self._braces = False
         self.aims_at = ""
         """The lane that it is about to move into; empty if none."""
         self._sumo_drives = False
-        self._speed_factor: float | None = None  # that SUMO's own driver was last told; None where SUMO keeps its own
         self._set_mps = self._told_mps = 0.0  # the set speed, and the speed that SUMO was told
-        self._leader: Leader | None = None
-        self._leader_name = ""
-        self._leader_speeds_mps: deque[float] = deque(maxlen=round(0.5 / SECONDS_PER_STEP) + 1)
         self.depart_s = math.nan
         """When it entered the road, by SUMO's clock."""
         self.speeds_mps: list[float] = []
@@ -101,10 +76,6 @@ class Host:
         """Whether the host has struck or been struck."""
         self.min_ttc_s = math.inf
         self._cut_ins = CutIns()
-        self._lane_id = ""  # that the host was on while SUMO's own driver might change it
-        self.sumos_lane_changes = 0
-        """How often SUMO has changed lanes, as its driver or while it asked to be let in."""
-        self._equip()
 
     def _know(self, road: Road) -> None:
         """Take what follows from a course."""
@@ -112,28 +83,11 @@ class Host:
         """The highest set speed on its course."""
         self._edges = road.edge_of
         self._joints = road.joints
-        self._next_lanes = road.next_lanes
+        self._sumos_changes.follow(road.next_lanes)
         self._sight_m = acc.sight_m(self.fastest_mps, self._adas)
         self._neighbours.follow(road, sight_m=self._sight_m)
         to_stop_m = acc.braking_distance_m(self.fastest_mps, self._adas.comfort_braking_mps2)
         self.junctions.follow(road, sees_m=to_stop_m + SLACK_M)
-
-    def _equip(self) -> None:
-        """Give it emergency braking: car-following that brakes safely and never harder than it may.
-
-        Krauss without imperfection, a deceleration as hard as emergency braking, and others told to expect
-        `EXPECTED_BRAKING_MPS2`. SUMO never exceeds `decel` under setSpeed in the default speed mode, and this model
-        needs no more to stay clear of a leader that brakes as hard. Adaptive cruise control (`acc`) brakes long before.
-        """
-        types, adas = libsumo.vehicletype, self._adas
-        types.setAccel(HOST_TYPE, adas.acceleration_mps2)
-        types.setDecel(HOST_TYPE, adas.emergency_braking_mps2)
-        types.setEmergencyDecel(HOST_TYPE, adas.emergency_braking_mps2)
-        types.setApparentDecel(HOST_TYPE, min(EXPECTED_BRAKING_MPS2, adas.emergency_braking_mps2))
-        types.setImperfection(HOST_TYPE, 0.0)
-        types.setMaxSpeed(HOST_TYPE, self.fastest_mps)
-        types.setTau(HOST_TYPE, AEB_TIME_GAP_S)
-        types.setMinGap(HOST_TYPE, adas.standstill_gap_m)
 
     # It enters.
 
@@ -149,49 +103,22 @@ class Host:
 
         It never drives faster than that vehicle can.
         """
-        for what, value in own.items():
-            self._set(what, value)
         self._before_m = libsumo.vehicle.getDistance(self.name)  # where it is not driven for the first time
-        self._is_of_a_demand = True
-        self._set("Decel", self._hardest_mps2)
-        self._can_mps = fastest_mps
-        self._keep_below_ceiling(speed_mps)
-
-    def _keep_below_ceiling(self, speed_mps: float) -> None:
-        """Have its vehicle be no faster than it can and its course allows; below its speed SUMO would brake hard."""
-        self.ceiling_mps = max(min(self.fastest_mps, self._can_mps), speed_mps)
-        self._set("MaxSpeed", self.ceiling_mps)
-
-    def _set(self, what: str, value: str | float) -> None:
-        """Set a property of its vehicle type; if others are of it too, of the vehicle, to which SUMO gives its own."""
-        if self._shares_type:
-            getattr(libsumo.vehicle, f"set{what}")(self.name, value)
-        else:
-            getattr(libsumo.vehicletype, f"set{what}")(HOST_TYPE, value)
-
-    def hold_below(self, speed_mps: float) -> None:
-        """Let the host drive no faster than this, whatever is commanded."""
-        self._set("MaxSpeed", speed_mps)
+        self.abilities.become(own, speed_mps=speed_mps, fastest_mps=fastest_mps)
 
     def begin(self) -> None:
         """Note when and at which speed the host has entered, and who is ahead."""
         self.depart_s = libsumo.vehicle.getDeparture(self.name)
         self.speeds_mps.append(libsumo.vehicle.getSpeed(self.name))
-        self._leader = self._look_ahead()
+        self._ahead.look(self._sight_m)
 
     def follow(self, road: Road) -> None:
         """Drive along another course from where it is."""
         libsumo.vehicle.updateBestLanes(self.name)  # SUMO itself does not, when a lane is opened
         self._know(road)
         if not self.junctions.matter:
-            self._be_gentle(False)
-        if not self._sumo_drives or self._speed_factor is not None:  # else it is of a type of the demand's
-            self._keep_below_ceiling(self.speeds_mps[-1])
-
-    @property
-    def vclass(self) -> str:
-        """SUMO's class of it."""
-        return self._class or libsumo.vehicle.getVehicleClass(self.name)
+            self.abilities.be_gentle(False)
+        self.abilities.follow(fastest_mps=self.fastest_mps, speed_mps=self.speeds_mps[-1])
 
     def can_stop_on(self, road: Road) -> bool:
         """Return whether it can stop in its lane before that no longer leads on along a course.
@@ -203,20 +130,13 @@ class Host:
         to_stop_m = acc.braking_distance_m(self.speeds_mps[-1], EXPECTED_BRAKING_MPS2)
         return to_stop_m <= ends_in_m.get(int(lane), math.inf)
 
-    def heed_closings(self, heeds: bool) -> None:
-        """Keep out of lanes that are closed to it; or drive on into one, where it is too late to stop."""
-        if heeds == bool(self._class):
-            own = self.vclass
-            self._set("VehicleClass", own if heeds else IGNORING)
-            self._class = "" if heeds else own
-
     def let_go(self, kind: str, *, speed_factor: float) -> None:
         """Be a vehicle of SUMO's again, of a type of the demand's and as fast as it was meant to be.
 
         If it is faster, it stays so: SUMO would brake it hard, and it leaves the road soon.
         """
         self._ask(0)
-        self.heed_closings(True)
+        self.abilities.heed_closings(True)
         vehicle, speed_mps = libsumo.vehicle, libsumo.vehicle.getSpeed(self.name)
         vehicle.setType(self.name, kind)
         faster = speed_mps / self.limit_mps if vehicle.getLaneID(self.name) else 0.0  # unless it parks
@@ -236,19 +156,10 @@ class Host:
         Args:
             kind: the vehicle type whose car-following, lane changes, size and mean speed factor it has from now on.
         """
-        vehicle, types = libsumo.vehicle, libsumo.vehicletype
         self._sumo_drives = True
-        self._lane_id = vehicle.getLaneID(self.name)
-        if kind is None:
-            vehicle.setTau(self.name, self._adas.time_gap_s)  # as a vehicle of SUMO's, it has no other time gap
-            self._speed_factor = UNLIMITED
-        else:
-            vehicle.setType(self.name, kind)
-            kind = vehicle.getTypeID(self.name)  # the one drawn from a distribution
-            vehicle.setSpeedFactor(self.name, types.getSpeedFactor(kind))
-            vehicle.setMaxSpeed(self.name, types.getMaxSpeed(kind))
-            vehicle.setSpeedMode(self.name, SUMO_SPEED_MODE)
-        vehicle.setLaneChangeMode(self.name, SUMO_CHANGES_LANES)
+        self._sumos_changes.begin()
+        self.abilities.hand_over(kind)
+        libsumo.vehicle.setLaneChangeMode(self.name, SUMO_CHANGES_LANES)
 
     # What it can know.
 
@@ -362,7 +273,7 @@ class Host:
     @property
     def gap_m(self) -> float:
         """Bumper to bumper to the vehicle ahead; NaN where none is in sight."""
-        return math.nan if self._leader is None else self._leader.gap_m
+        return self._ahead.gap_m
 
     @property
     def told_mps(self) -> tuple[float, float]:
@@ -376,7 +287,7 @@ class Host:
         vehicle = libsumo.vehicle
         if self.junctions.matter:
             self.junctions.heed_signals(self.speeds_mps[-1])
-            self._be_gentle(self.junctions.is_slow_at_line(self.speeds_mps[-1]))
+            self.abilities.be_gentle(self.junctions.is_slow_at_line(self.speeds_mps[-1]))
         self._set_mps = command.speed_mps
         self._ask(command.asks)
         if command.cross:
@@ -391,108 +302,48 @@ class Host:
     def _ask(self, side: int) -> None:
         """Have others in the lane on a side let it in; 0: no longer."""
         if self._letting_in.ask(side, self.speeds_mps[-1]):
-            self._lane_id = libsumo.vehicle.getLaneID(self.name)
+            self._sumos_changes.begin()
 
     def heed(self) -> None:
         """Notice who must come into its lane, and let them in until it looks again."""
         self._letting_in.heed()
 
-    def _be_gentle(self, is_gentle: bool) -> None:
-        """Have SUMO brake gently for who comes first, or as hard as it may.
-
-        SUMO finds that out a second after it has called the way open, and stops then as late and as hard as it may.
-        """
-        if is_gentle != self._is_gentle:
-            self._is_gentle = is_gentle
-            self._set("Decel", self._hardest_mps2)
-
-    @property
-    def _hardest_mps2(self) -> float:
-        """How hard SUMO may brake the host now."""
-        hardest = self._adas.emergency_braking_mps2
-        if self._is_gentle:
-            return min(GENTLE_MPS2, hardest)
-        return min(EXPECTED_BRAKING_MPS2, hardest) if self._is_of_a_demand and not self._braces else hardest
-
     def drive(self) -> None:
         """Tell SUMO the speed for the next step: the set speed, or what adaptive cruise control makes of it."""
-        speed_mps, leader = self._set_mps, self._leader
-        if self._speed_factor is not None:
-            self._keep_to_limit()
+        speed_mps, now_mps, leader = self._set_mps, self.speeds_mps[-1], self._ahead.leader
+        self.abilities.keep_to_limit(now_mps)
         if not self._sumo_drives:
-            now_mps = self.speeds_mps[-1]
             speed_mps = min(speed_mps, self._letting_in.allowed_mps(now_mps))
             if leader is not None:
                 speed_mps = min(speed_mps, acc.following_mps(now_mps, leader, self._adas))
-            if self._is_of_a_demand:
-                self._brace(speed_mps)
+            self.abilities.brace(now_mps, speed_mps, leader)
         is_driven = self.junctions.matter and not self._sumo_drives
         if is_driven and libsumo.vehicle.getLaneID(self.name).startswith(":"):
-            speed_mps = min(speed_mps, self.junctions.clear_mps(self._look_around().boxes, self.speeds_mps[-1]))
+            speed_mps = min(speed_mps, self.junctions.clear_mps(self._look_around().boxes, now_mps))
         if speed_mps != self._told_mps:
             libsumo.vehicle.setSpeed(self.name, speed_mps)
             self._told_mps = speed_mps
-
-    def _brace(self, speed_mps: float) -> None:
-        """Have SUMO brake as hard as it may, where it takes more than others expect of the host.
-
-        At other times it may not: SUMO's drivers keep a longer gap behind one that may brake harder, and where many are
-        driven, fewer would enter and change lanes.
-        """
-        now_mps, leader = self.speeds_mps[-1], self._leader
-        needed_mps2 = (now_mps - speed_mps) / SECONDS_PER_STEP
-        if leader is not None:
-            needed_mps2 = max(needed_mps2, acc.needed_mps2(now_mps, leader, self._adas))
-        if (needed_mps2 > EXPECTED_BRAKING_MPS2) != self._braces:
-            self._braces = not self._braces
-            self._set("Decel", self._hardest_mps2)
-
-    def _keep_to_limit(self) -> None:
-        """Have SUMO's own driver keep to the limit of its lane and the highest set speed.
-
-        Or be no faster than it is, while the assistance layer has it slow down: SUMO would brake hard.
-        """
-        limit_mps, speed_mps = self.limit_mps, self.speeds_mps[-1]
-        if speed_mps < self.ceiling_mps and self.ceiling_mps > self.fastest_mps:  # it has entered faster
-            self.ceiling_mps = max(speed_mps, self.fastest_mps)
-            libsumo.vehicle.setMaxSpeed(self.name, self.ceiling_mps)  # handed over, it is of a type of its own
-        factor = max(AS_ALLOWED, speed_mps / limit_mps) if limit_mps > 0.0 else AS_ALLOWED
-        if factor != self._speed_factor:
-            libsumo.vehicle.setSpeedFactor(self.name, factor)
-            self._speed_factor = factor
 
     def note(self) -> None:
         """Record the host's speed, its leader and its contacts after a step."""
         speed_mps = libsumo.vehicle.getSpeed(self.name)
         self.speeds_mps.append(speed_mps)
-        leader = self._leader = self._look_ahead()
+        leader = self._ahead.look(self._sight_m)
         if leader is not None:
-            closing_mps = speed_mps - leader[1]
-            if closing_mps * self.min_ttc_s > leader[0] > 0.0:
-                self.min_ttc_s = leader[0] / closing_mps
+            closing_mps = speed_mps - leader.speed_mps
+            if closing_mps * self.min_ttc_s > leader.gap_m > 0.0:
+                self.min_ttc_s = leader.gap_m / closing_mps
         if libsumo.simulation.getCollidingVehiclesNumber():
             self._note_contacts()
         if self._sumo_drives or self._letting_in.asks:
-            self._note_lane()
+            self._note_change()
         self._cut_ins.note(len(self.speeds_mps))
 
-    def _look_ahead(self) -> Leader | None:
-        """Return who is ahead, with how that vehicle has sped up or braked over the last half second."""
-        vehicle = libsumo.vehicle
-        ahead = vehicle.getLeader(self.name, self._sight_m)
-        if not ahead or not ahead[0]:
-            self._leader_name = ""
-            return None
-        name, gap_m = ahead
-        speed_mps, speeds_mps = vehicle.getSpeed(name), self._leader_speeds_mps
-        if name != self._leader_name:
-            self._leader_name = name
-            speeds_mps.clear()
-            speeds_mps.append(speed_mps)
-            return Leader(gap_m + self._standstill_gap_m, speed_mps)
-        speeds_mps.append(speed_mps)
-        seconds = (len(speeds_mps) - 1) * SECONDS_PER_STEP
-        return Leader(gap_m + self._standstill_gap_m, speed_mps, (speed_mps - speeds_mps[0]) / seconds)
+    def _note_change(self) -> None:
+        if self._sumos_changes.note():
+            follower = libsumo.vehicle.getFollower(self.name)
+            if follower and follower[0]:
+                self._cut_ins.watch(follower[0], len(self.speeds_mps))
 
     def _note_contacts(self) -> None:
         for collision in libsumo.simulation.getCollisions():  # contacts among the others are not counted
@@ -500,25 +351,10 @@ class Host:
             self.struck += collision.victim == self.name
         self.contact = bool(self.collisions or self.struck)
 
-    def _note_lane(self) -> None:
-        """Notice when SUMO has changed lanes for the host, as its own driver or while the host asks to be let in."""
-        lane_id = libsumo.vehicle.getLaneID(self.name)
-        if lane_id != self._lane_id and self._is_beside(lane_id):
-            self.sumos_lane_changes += 1
-            follower = libsumo.vehicle.getFollower(self.name)
-            if follower and follower[0]:
-                self._cut_ins.watch(follower[0], len(self.speeds_mps))
-        self._lane_id = lane_id
-
-    def _is_beside(self, lane_id: str) -> bool:
-        """Whether a lane is beside the one that SUMO's own driver was on, or beside those that this one leads to."""
-        edge_id, reached = lane_id.rpartition("_")[0], {self._lane_id}
-        for _ in range(EDGES_PER_STEP):
-            on_edge = {one for one in reached if one.rpartition("_")[0] == edge_id}
-            if on_edge:
-                return lane_id not in on_edge
-            reached = {ahead for one in reached for ahead in self._next_lanes.get(one, ())}
-        return False
+    @property
+    def sumos_lane_changes(self) -> int:
+        """How often SUMO has changed lanes, as its driver or while it asked to be let in."""
+        return self._sumos_changes.count
 
     @property
     def hard_brakings_behind(self) -> int:
