@@ -17,7 +17,7 @@ from sketch import cut_road
 from rail_sumo import assets, cli, config_file
 from rail_sumo.errors import InputError
 from rail_sumo.pictures import fcd, plot
-from rail_sumo.studies import sweep
+from rail_sumo.studies import sweep, sweep_report
 from rail_sumo.studies.sweep import Sweep
 from rail_sumo.tables import cautions, report, shares, traffic
 from rail_sumo.tables.shares import AS_THEY_ARE, TOLD, compared, summarised, told_table
@@ -38,7 +38,7 @@ def figures():
 @pytest.fixture(autouse=True)
 def only_figures_that_are_looked_at(request, monkeypatch):
     if "figures" not in request.fixturenames:
-        monkeypatch.setattr(Sweep, "_draw", lambda *_: None)
+        monkeypatch.setattr(sweep_report, "draw", lambda *_: None)
 
 
 @pytest.fixture
@@ -395,7 +395,7 @@ def test_a_figure_shows_each_run_also_one_that_broke_down(world, tmp_path, monke
     broken = tables.traffic.copy()
     is_one = (broken["driver"] == "acc") & (broken["vehicles"] == traffic.ALL) & (broken["seed"] == 1)
     broken.loc[is_one, "speed_kmh"] = 5.0
-    swept._draw(tables._replace(traffic=broken))
+    sweep_report.draw(tables._replace(traffic=broken), swept.out)
     axes = drawn["speed_kmh.svg"]
     _, points = axes.get_lines()
     of_all = broken[broken["vehicles"] == traffic.ALL].set_index(["driver", "share", "seed"])["speed_kmh"]

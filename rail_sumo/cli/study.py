@@ -101,13 +101,13 @@ def sweep(
 ) -> None:
     """Tell what happens on a road as the share of driven cars grows; what is in the folder is not driven again."""
     from rail_sumo import roster
-    from rail_sumo.studies import share_run
+    from rail_sumo.studies import share_run, sweep_report
     from rail_sumo.studies import sweep as study
 
     n_workers = workers_of(workers)
     if n_workers == "ray":
         raise InputError("sweep drives on this machine and takes a number of --workers, not ray")
-    is_share = what == study.SHARE
+    is_share = what == sweep_report.SHARE
     if is_share and share is not None:
         raise InputError("shares are what is varied; leave out --share")
     if not is_share and "." not in what:
@@ -141,7 +141,7 @@ def sweep(
         print(tables.differences.to_json(orient="records", indent=2))
         return
     console = Console(width=None if sys.stdout.isatty() else 120, emoji=False)
-    console.print(study.shown(swept, tables, width=console.width))
+    console.print(sweep_report.shown(tables, width=console.width))
     written = "tables, figures and sweep.md" if (out / study.FIGURES).is_dir() else "tables and sweep.md"
     print(f"{written} in {out}")
     if fcd:

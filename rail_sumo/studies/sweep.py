@@ -10,11 +10,8 @@ from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from importlib.util import find_spec
 from pathlib import Path
-from typing import TYPE_CHECKING, NamedTuple
 
-import numpy as np
 import pandas as pd
-from rich.table import Table
 
 from rail_sumo import config_file, drivers, rollout, roster, run, training
 from rail_sumo.config import Config
@@ -22,32 +19,20 @@ from rail_sumo.errors import InputError
 from rail_sumo.files import check_folder, whole_file
 from rail_sumo.highway.network import demand, road
 from rail_sumo.highway.traffic.fleet import Instead, demand_of, sumo_command
-from rail_sumo.pictures import plot
-from rail_sumo.records import Floats
 from rail_sumo.rollout import EVALUATION, SILENT, Observer, Who, traffic_seed
 from rail_sumo.run_directory import CONFIG
-from rail_sumo.studies import share_run
+from rail_sumo.studies import share_run, sweep_report
 from rail_sumo.studies.share_run import ShareRun
+from rail_sumo.studies.sweep_report import SHARE, Tables
 from rail_sumo.tables import cautions, report, traffic, warm_up
 from rail_sumo.tables.shares import (
     AS_THEY_ARE,
     EDGES,
-    HEADINGS,
-    MEASURED,
-    TOLD,
     TRAFFIC_COLUMNS,
-    Row,
     compared,
     summarised,
-    told_rows,
-    told_table,
 )
 
-if TYPE_CHECKING:
-    from matplotlib.axes import Axes
-
-SHARE = "share"
-"""What is swept over, unless it is a key of the configuration."""
 ACC = roster.INSTEAD
 """The driver that is SUMO's own adaptive cruise control."""
 FIGURES = "figures"
@@ -88,7 +73,7 @@ class Sweep:
     known: tuple[str, ...] = ()
     """What to know of the configuration, told already; it is kept among the notes."""
 
-    def drive(self) -> "Tables":
+    def drive(self) -> Tables:
         """Bring every run to its end; write the tables, `sweep.md` and a figure for each measure into `out`.
 
         Raises:
@@ -133,7 +118,9 @@ class Sweep:
         for note in cautions.of_runs(table, edges):
             notes.append(note)
             self.observer.note(note)
-        tables = Tables(table, summarised(table), compared(table), edges, warm_up_s, tuple(notes))
+        tables = Tables(
+            table, summarised(table), compared(table), edges, self.key, self.duration_s, warm_up_s, tuple(notes)
+        )
         report.write(self.out, traffic=table, summary=tables.summary, differences=tables.differences, overwrite=True)
         with whole_file(self.out / EDGES) as partial:
             edges.to_parquet(partial, index=False)
@@ -141,40 +128,13 @@ class Sweep:
         sumo = sumo_command(training.located(self.config), traffic_seed(0, EVALUATION, 0))
         run.describe(self.out, self.config, self.command, notes=notes, drivers=learned, sumo=sumo)
         with whole_file(self.out / "sweep.md") as partial:
-            partial.write_text(markdown(self, tables), encoding="utf-8")
-        self._draw(tables)
-        return tables
-
-    def _draw(self, tables: "Tables") -> None:
-        """Draw every measure of all vehicles, as PNG and SVG, if there is anything to draw with."""
+            page = sweep_report.markdown(tables, self.road or self.config.network.file, command=self.command)
+            partial.write_text(page, encoding="utf-8")
         if find_spec("matplotlib") is None:
             self.observer.note("no figures without matplotlib; install it with: pip install 'rail-sumo[plots]'")
-            return
-        across = "share" if self.key == SHARE else "setting"
-        of_all, of_seeds = (one[one["vehicles"] == traffic.ALL] for one in (tables.summary, tables.traffic))
-        who = (*self.drivers, *([AS_THEY_ARE] if self.key != SHARE else ()))
-        for measure in MEASURED:
-            curves, points = {}, []
-            for driver in who:
-                told = self._along_a_curve(of_all[of_all["measure"] == measure], driver)
-                label = "as they are" if driver == AS_THEY_ARE else driver
-                curves[label] = told[[across, "mean", "low", "high"]].astype("float64").sort_values(across).to_numpy()
-                points.append(self._along_a_curve(of_seeds, driver)[[across, measure]].astype("float64").to_numpy())
-            figure = plot.with_bands(curves, "share of the cars" if self.key == SHARE else self.key, HEADINGS[measure])
-            if self.seeds > 1:
-                _mark(figure.axes[0], points)
-            if self.key == SHARE:
-                figure.axes[0].xaxis.set_major_formatter("{x:.0%}")  # as the tables tell shares
-            for suffix in (".png", ".svg"):
-                plot.save(figure, self.out / FIGURES / f"{measure}{suffix}", overwrite=True)
-
-    def _along_a_curve(self, rows: pd.DataFrame, driver: str) -> pd.DataFrame:
-        """Return the rows that a driver's curve goes along: from share 0 on, where the share is varied."""
-        zero = rows[(rows["driver"] == AS_THEY_ARE) & (rows["share"] == 0.0)]
-        own = rows[(rows["driver"] == driver) & (rows["share"] > 0.0)]
-        if self.key == SHARE:
-            return pd.concat([zero, own])
-        return zero if driver == AS_THEY_ARE else own
+        else:
+            sweep_report.draw(tables, self.out / FIGURES)
+        return tables
 
     def _check(self) -> None:
         if self.seeds < 1:
@@ -311,85 +271,6 @@ class Sweep:
     def _at(self, setting: str) -> str:
         """Return where in the sweep something holds, to be read on after what it is."""
         return f" at {self.key} = {setting}" if setting else ""
-
-
-class Tables(NamedTuple):
-    """What a sweep came to."""
-
-    traffic: pd.DataFrame
-    """A row per driver, setting, share, seed and kind of vehicles: `TRAFFIC_COLUMNS`."""
-    summary: pd.DataFrame
-    """Means over seeds: `SUMMARY_COLUMNS`."""
-    differences: pd.DataFrame
-    """From share 0: `DIFFERENCE_COLUMNS`."""
-    edges: pd.DataFrame
-    """Sums for each edge and type of vehicles: `EDGE_COLUMNS`."""
-    warm_up_s: float
-    """How long the traffic drove before it counted."""
-    notes: tuple[str, ...] = ()
-    """What makes the figures depend on the period."""
-
-
-def _mark(axes: "Axes", points: Sequence[Floats]) -> None:
-    """Draw every run as a small point in its curve's colour, since a mean hides the one that broke down.
-
-    Args:
-        axes: with a line for each curve.
-        points: of each curve; rows of where and what, NaN if there is none, shape (n, 2).
-    """
-    for line, of_curve in zip(axes.get_lines(), points, strict=True):
-        axes.plot(*of_curve.T, ".", markersize=4, alpha=0.5, color=line.get_color(), clip_on=False)
-        heights = of_curve[np.isfinite(of_curve[:, 1]), 1]
-        if len(heights):
-            bottom, top = axes.get_ylim()
-            axes.set_ylim(min(bottom, heights.min()), max(top, heights.max()))
-
-
-def markdown(sweep: Sweep, tables: Tables) -> str:
-    """Return the study as a page: what was driven, the means of all vehicles, and how they differ from share 0."""
-    setting = [] if sweep.key == SHARE else [sweep.key]
-    headings = ["driver", *setting, "share", *(told.heading for told in TOLD.values())]
-    rows = [
-        [row.driver, *([row.setting] if setting else []), row.share, *(cell.on_one_line for cell in row.cells.values())]
-        for row in _rows_of(tables)
-    ]
-    lines = [
-        f"# {sweep.road or sweep.config.network.file}: {', '.join(sweep.drivers)}",
-        "",
-        _caption(sweep, tables, "in brackets"),
-        "",
-        *((f"    {sweep.command}", "") if sweep.command else ()),
-        *(line for note in tables.notes for line in (f"Note: {note}.", "")),
-        f"| {' | '.join(headings)} |",
-        "| --- |" + " ---: |" * (len(headings) - 1),
-        *(f"| {' | '.join(row)} |" for row in rows),
-    ]
-    return "\n".join(lines) + "\n"
-
-
-def shown(sweep: Sweep, tables: Tables, *, width: int) -> Table:
-    """Return the same for a terminal of so many columns, without what does not fit."""
-    key = "" if sweep.key == SHARE else sweep.key
-    return told_table(key, _rows_of(tables), _caption(sweep, tables, "below them"), width=width)
-
-
-def _rows_of(tables: Tables) -> list[Row]:
-    return told_rows(tables.traffic, tables.differences)
-
-
-def _caption(sweep: Sweep, tables: Tables, where: str) -> str:
-    seeds = f"{sweep.seeds} seeds" if sweep.seeds > 1 else "one seed: no interval"
-    undriven = tables.traffic.loc[tables.traffic["vehicles"] == traffic.DRIVEN, "undriven"].max()
-    left = (
-        f" Up to {undriven} cars of a run's share are left to SUMO, on routes that a host cannot drive."
-        if undriven
-        else ""
-    )
-    few = f" Fewer than {report.FEW} seeds: intervals are very wide." if 1 < sweep.seeds < report.FEW else ""
-    return (
-        f"{seeds}; {sweep.duration_s:g} s each, after {tables.warm_up_s:g} s that do not count. Means of all vehicles; "
-        f"{where} the difference from share 0 on the same traffic, ± half its 95 % interval.{few}{left}"
-    )
 
 
 def shares_of(texts: Sequence[str]) -> tuple[float, ...]:
