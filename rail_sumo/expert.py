@@ -5,7 +5,7 @@ import json
 
 from safetensors.numpy import save
 
-from rail_sumo import run, training
+from rail_sumo import origin, run, training
 from rail_sumo.assets import EXPERT_DEMONSTRATIONS, EXPERT_POLICY, EXPERT_RECIPE, MANIFEST, sha256
 from rail_sumo.config import Config
 from rail_sumo.config_file import dumps
@@ -65,7 +65,7 @@ def train(
         about[DRIVER_SHA256] = sha256(whole / EXPERT_POLICY)
         demonstrations.save(whole / EXPERT_DEMONSTRATIONS, features=features, about=about)
         means = tables.summary.set_index("metric")["mean"]
-        written = run.manifest(whole, means, seed, training.world_inputs(config))
+        written = origin.manifest(whole, means, seed, training.world_inputs(config))
         (whole / MANIFEST).write_text(written, encoding="utf-8")
     return tables
 

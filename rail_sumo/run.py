@@ -1,11 +1,7 @@
 """Train, evaluate, demonstrate: what the command line does, each in one call."""
 
 import itertools
-import json
-import math
-import platform
-from collections.abc import Iterable, Iterator, Mapping, Sequence
-from importlib.metadata import version
+from collections.abc import Iterable, Iterator, Mapping
 from pathlib import Path
 from typing import Any, NamedTuple
 from urllib.parse import quote
@@ -14,7 +10,7 @@ import pandas as pd
 import pyarrow as pa
 import pyarrow.parquet as pq
 
-from rail_sumo import assets, drivers, learners, roster, training
+from rail_sumo import assets, drivers, learners, origin, roster, training
 from rail_sumo.config import Config
 from rail_sumo.config_file import dumps
 from rail_sumo.errors import InputError
@@ -312,7 +308,7 @@ def train(
     own = tables.summary[tables.summary["policy"] == config.train.learner]
     means, notes = own.set_index("metric")["mean"], list(training.other_expert(config))
     with whole_file(out / assets.MANIFEST) as partial:
-        partial.write_text(manifest(out, means, seed, run.inputs, notes), encoding="utf-8")
+        partial.write_text(origin.manifest(out, means, seed, run.inputs, notes), encoding="utf-8")
     return tables
 
 
@@ -348,52 +344,3 @@ def require_drivable(world: Config, episodes: int = 1, who: Iterable[Who] = ("ke
         raise InputError(f"episodes must be at least 1; got {episodes}")
     for fixed, hands_off in itertools.product(varied.one_of_each(world), {drivers.hands_off(one) for one in who}):
         HighwayEnv(fixed, hands_off=hands_off, companions=deciders("keep", fixed, 0))
-
-
-def describe(folder: Path, world: Config, command: str, *, notes: Sequence[str] = (), **more: Any) -> None:
-    """Write beside tables what made them: the command, the world, the SHA-256 of its files, and the versions.
-
-    Args:
-        folder: of the tables.
-        world: where was driven.
-        command: what was typed.
-        notes: what to know of the tables.
-        more: what else there is to tell, by name, or in place of these: more `files`.
-    """
-    noted = {"notes": list(notes)} if notes else {}
-    about = {"command": command, "files": training.world_inputs(world), **more, **noted, **_versions()}
-    for name, text in (
-        (report.WORLD, dumps(training.located(world))),
-        (report.ORIGIN, json.dumps(about, indent=2) + "\n"),
-    ):
-        with whole_file(folder / name) as partial:
-            partial.write_text(text, encoding="utf-8")
-
-
-def _versions() -> dict[str, str]:
-    others = {name: version(name) for name in ("libsumo", "numpy", "torch")}
-    return {"rail-sumo": assets.own_version(), "python": platform.python_version(), **others}
-
-
-def manifest(
-    folder: Path, means: Mapping[str, float], seed: int, inputs: Mapping[str, str], notes: Sequence[str] = ()
-) -> str:
-    """Return what tells how a driver's folder was made, as JSON.
-
-    Args:
-        folder: its files, whose SHA-256 it holds.
-        means: of the evaluation, by metric.
-        seed: of everything random.
-        inputs: the SHA-256 of the files that it follows from, by the keys that name them.
-        notes: what to know of its tables.
-    """
-    kept = [path for path in sorted(folder.iterdir()) if path.is_file() and path.name != assets.MANIFEST]
-    written = {
-        **({"notes": list(notes)} if notes else {}),
-        "inputs": {key: checksum for key, checksum in inputs.items() if checksum},
-        "files": {path.name: assets.sha256(path) for path in kept},
-        "seed": seed,
-        **_versions(),
-        "evaluation": {metric: round(mean, 3) for metric, mean in means.items() if math.isfinite(mean)},
-    }
-    return json.dumps(written, indent=2) + "\n"

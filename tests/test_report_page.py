@@ -8,7 +8,7 @@ import numpy as np
 import pandas as pd
 import pytest
 
-from rail_sumo import assets, config_file, roster, run
+from rail_sumo import assets, config_file, origin, roster, run
 from rail_sumo.errors import InputError
 from rail_sumo.pictures import plot_episodes, report_page
 from rail_sumo.tables import report
@@ -25,7 +25,7 @@ def evaluation(tmp_path_factory):
     who = {"expert": roster.find_driver("expert", world), "<b>&random": "random"}
     tables = run.evaluate(who, world, episodes=3, seed=0)
     tables.write(folder)
-    run.describe(folder, world, "rail-sumo eval expert '<b>&random'", seed=0)
+    origin.describe(folder, world, "rail-sumo eval expert '<b>&random'", seed=0)
     return folder, tables
 
 
@@ -98,7 +98,7 @@ def test_each_note_of_an_evaluation_is_on_its_page(evaluation, tmp_path):
     _, tables = evaluation
     tables.write(tmp_path / "mine")
     notes = ["all are as fast as each other", "<b>: 1 of 3 episodes"]
-    run.describe(tmp_path / "mine", config_file.load(None, BRIEF), "rail-sumo eval", notes=notes)
+    origin.describe(tmp_path / "mine", config_file.load(None, BRIEF), "rail-sumo eval", notes=notes)
     report_page.write([tmp_path / "mine"], tmp_path / "page.html")
     page = (tmp_path / "page.html").read_text()
     for note in notes:

@@ -71,7 +71,7 @@ def evaluate(
 
     The world is that of --config, of the first run directory among the policies, or the default; options change it.
     """
-    from rail_sumo import replay, roster, run
+    from rail_sumo import origin, replay, roster, run
     from rail_sumo.tables import report
 
     _require_place(out, {"--fcd": (FCD, fcd), "--replay": (REPLAYS, bool(replays))}, overwrite=overwrite)
@@ -84,7 +84,7 @@ def evaluate(
         tables.save(whole)
         learned = {policy: roster.content_of(policy, world) for policy in policies}
         notes = [*known, *bars.notes, *report.cut_short(tables.episodes), *report.alike(tables.episodes)]
-        run.describe(whole, world, typed(), seed=seed, episodes=episodes, drivers=learned, notes=notes, **more)
+        origin.describe(whole, world, typed(), seed=seed, episodes=episodes, drivers=learned, notes=notes, **more)
 
     try:
         place = files.whole_folder(out, overwrite=overwrite) if out and fcd else nullcontext()

@@ -17,7 +17,7 @@ from typing import Any
 import numpy as np
 import pandas as pd
 
-from rail_sumo import drivers, learners, rollout, roster, run, training
+from rail_sumo import drivers, learners, origin, rollout, roster, run, training
 from rail_sumo.config import Config
 from rail_sumo.config_file import dumps, validate
 from rail_sumo.errors import InputError
@@ -170,7 +170,7 @@ class Experiment:
                 self.observer.advance({})
         report.write(self.out, cells=_typed(self._all_finished()), overwrite=True)
         files = training.inputs_of(self.config) | training.expert_input(self.config)
-        run.describe(self.out, self.config, self.command, notes=notes, files=files)
+        origin.describe(self.out, self.config, self.command, notes=notes, files=files)
         return _typed(driven)
 
     def _work(self, cell: Cell) -> "_Work":

@@ -13,7 +13,7 @@ from pathlib import Path
 
 import pandas as pd
 
-from rail_sumo import config_file, drivers, rollout, roster, run, training
+from rail_sumo import config_file, drivers, origin, rollout, roster, training
 from rail_sumo.config import Config
 from rail_sumo.errors import InputError
 from rail_sumo.files import check_folder, whole_file
@@ -126,7 +126,7 @@ class Sweep:
             edges.to_parquet(partial, index=False)
         learned = {one.driver: one.learned for one in work if one.driver in self.drivers}
         sumo = sumo_command(training.located(self.config), traffic_seed(0, EVALUATION, 0))
-        run.describe(self.out, self.config, self.command, notes=notes, drivers=learned, sumo=sumo)
+        origin.describe(self.out, self.config, self.command, notes=notes, drivers=learned, sumo=sumo)
         with whole_file(self.out / "sweep.md") as partial:
             page = sweep_report.markdown(tables, self.road or self.config.network.file, command=self.command)
             partial.write_text(page, encoding="utf-8")
