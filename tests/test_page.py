@@ -14,8 +14,8 @@ from hypothesis import strategies as st
 
 from rail_sumo.errors import InputError
 from rail_sumo.film import Film, Ground, Holding, Lane, MarkKind, Stays, Vehicle, Why
-from rail_sumo.pictures import page
-from rail_sumo.pictures.page import QUANTA
+from rail_sumo.pictures import packed, page
+from rail_sumo.pictures.packed import QUANTA
 from rail_sumo.records import EndReason, MetaAction
 
 NOWHERE = Ground((), (), (), "nowhere")
@@ -126,8 +126,8 @@ ROWS = st.dictionaries(
 @given(ROWS)
 @settings(deadline=None)
 def test_a_film_is_packed_to_the_quantum(rows):
-    packed = film([(*key, *values) for key, values in sorted(rows.items())])
-    _, found = unpacked(page.pack_film(packed, (-1e5, -1e5)), (-1e5, -1e5))
+    shown = film([(*key, *values) for key, values in sorted(rows.items())])
+    _, found = unpacked(packed.pack_film(shown, (-1e5, -1e5)), (-1e5, -1e5))
     assert set(found) == {(vehicle, frame) for frame, vehicle in rows}
     for (frame, vehicle), (x, y, heading, speed) in rows.items():
         there = found[vehicle, frame]
@@ -139,13 +139,13 @@ def test_a_film_is_packed_to_the_quantum(rows):
 
 @given(st.lists(st.integers(-(2**31), 2**31 - 1), max_size=50))
 def test_integers_come_back_from_their_bytes(values):
-    assert varints(page._varints(np.array(values, dtype=np.int64)), len(values)) == values
+    assert varints(packed._varints(np.array(values, dtype=np.int64)), len(values)) == values
 
 
 def test_what_the_driver_saw_and_decided_is_packed_to_the_quantum():
     shown = drive(5, seconds=12.0, n_vehicles=8)
     driven = shown.driven
-    header, streams = opened(page.pack_film(shown, (0.0, 0.0)))
+    header, streams = opened(packed.pack_film(shown, (0.0, 0.0)))
     rays = np.cumsum(np.reshape(streams["ray"], (-1, shown.n_frames)), axis=1).T * QUANTA["ray_m"]
     np.testing.assert_allclose(rays, driven.ray_m, atol=0.5 * QUANTA["ray_m"] + 1e-9)
     for name, quantum in (("set", "speed_mps"), ("limit", "speed_mps")):
@@ -155,8 +155,8 @@ def test_what_the_driver_saw_and_decided_is_packed_to_the_quantum():
     np.testing.assert_allclose(gap, driven.gap_m, atol=0.5 * QUANTA["gap_m"] + 1e-9)
     np.testing.assert_array_equal(np.cumsum(streams["holding"]), driven.holding)
     assert len(header["driven"]["decisions"]) == len(driven.decisions) > 10
-    for packed, decision in zip(header["driven"]["decisions"], driven.decisions, strict=True):
-        frame, asked, carried_out, why, is_open, shares, judged, stays = packed
+    for written, decision in zip(header["driven"]["decisions"], driven.decisions, strict=True):
+        frame, asked, carried_out, why, is_open, shares, judged, stays = written
         assert (frame, asked, carried_out, why) == (decision.frame, decision.asked, decision.carried_out, decision.why)
         assert stays == decision.stays
         assert tuple(map(bool, is_open)) == decision.open
@@ -169,7 +169,7 @@ def test_what_the_driver_saw_and_decided_is_packed_to_the_quantum():
 
 def test_the_ground_is_packed_to_the_quantum():
     ground = motorway()
-    header, streams = opened(page.pack_ground(ground, (468_000.0, 5_539_000.0)))
+    header, streams = opened(packed.pack_ground(ground, (468_000.0, 5_539_000.0)))
     at = 0
     for shape, count in zip(
         [lane.points for lane in ground.lanes] + list(ground.junctions), streams["counts"], strict=True
@@ -272,14 +272,14 @@ def test_a_film_without_anybody_and_a_ground_without_lanes_make_a_page():
 )
 def test_a_film_that_contradicts_itself_is_refused(change, told):
     good = film([(0, 0, 0, 0, 0, 0), (1, 0, 1, 0, 0, 0)])
-    page.check_film(good, NOWHERE)
+    packed.check_film(good, NOWHERE)
     with pytest.raises(ValueError, match=told):
-        page.check_film(replace(good, **change), NOWHERE)
+        packed.check_film(replace(good, **change), NOWHERE)
 
 
 def test_what_the_driver_saw_fits_the_film_or_is_refused():
     good = drive(2, seconds=3.0, n_vehicles=2)
-    page.check_film(good, motorway())
+    packed.check_film(good, motorway())
     n = good.n_frames
     bad = {
         "one row per frame": {"ray_m": good.driven.ray_m[:-1]},
@@ -294,7 +294,7 @@ def test_what_the_driver_saw_fits_the_film_or_is_refused():
     }
     for told, change in bad.items():
         with pytest.raises(ValueError, match=told):
-            page.check_film(replace(good, driven=replace(good.driven, **change)), motorway())
+            packed.check_film(replace(good, driven=replace(good.driven, **change)), motorway())
 
 
 def test_one_film_or_two():
@@ -344,6 +344,6 @@ def test_the_page_has_words_for_everything_that_a_film_may_hold(table, kinds):
 
 def test_every_lane_of_two_points_or_more_and_their_lines():
     lane = Lane("a_0", np.array([[0.0, 0.0], [3.0, 4.0]]), 3.2, True, False, "none")
-    header, streams = opened(page.pack_ground(Ground((lane,), (), (), "g"), (0.0, 0.0)))
+    header, streams = opened(packed.pack_ground(Ground((lane,), (), (), "g"), (0.0, 0.0)))
     assert (streams["counts"], streams["x"], streams["y"]) == ([2], [0, 300], [0, 400])
     assert header["lanes"] == [["a_0", 320, 1, 0, "none"]]

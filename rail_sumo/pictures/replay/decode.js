@@ -1,4 +1,4 @@
-// From what page.py packed to typed arrays. The counterpart of rail_sumo/pictures/page.py: see there for the format.
+// From what packed.py packed to typed arrays. The counterpart of rail_sumo/pictures/packed.py: see there for the format.
 
 export const FORMAT = 2;
 const FRAMES_IN_BUCKET = 64;
