@@ -1,14 +1,11 @@
 """One page about runs, evaluations, sweeps and studies: what was run, with which figures and pictures."""
 
-import base64
 import html
-import io
 import json
-import math
 from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 from string import Template
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import Any
 
 import numpy as np
 import pandas as pd
@@ -17,16 +14,13 @@ from rail_sumo import assets, config_file
 from rail_sumo.config import Config
 from rail_sumo.errors import InputError
 from rail_sumo.files import check_file, whole_file
-from rail_sumo.pictures import plot, plot_episodes
+from rail_sumo.pictures import markup, plot, plot_episodes
 from rail_sumo.records import MetaAction
 from rail_sumo.run_directory import CLONE, CONFIG, PROGRESS
 from rail_sumo.tables import report
 from rail_sumo.tables.report import CONTACTS, DECISIONS, EPISODES, ORIGIN, SUMMARY, WORLD
 from rail_sumo.tables.shares import ARM, AS_THEY_ARE, EDGES, HEADINGS, TOLD, called, rates
 from rail_sumo.tables.traffic import ALL
-
-if TYPE_CHECKING:
-    from matplotlib.figure import Figure
 
 _PARTS = Path(__file__).with_name("report")
 
@@ -37,8 +31,6 @@ KINDS = {CONFIG: "run", EPISODES: "evaluation", CELLS: "study", TRAFFIC: "sweep"
 
 MOST_EDGES = 10
 """So many edges are shown of a sweep."""
-WORDS = '<td class="words">'
-"""How a cell begins that holds no number."""
 ACTIONS = [action.name.lower() for action in MetaAction]
 
 
@@ -106,7 +98,7 @@ def _about(folder: Path) -> Iterator[str]:
         if (folder / DECISIONS).is_file():
             yield from _decisions(_read(folder / DECISIONS), n_networks=episodes["network"].nunique())
     if (folder / PROGRESS).is_file() and (folder / CLONE).is_file() and len(_read(folder / PROGRESS)):
-        yield _picture(plot.learning_curves([folder]), "How training went, in training traffic.", "Training")
+        yield markup.picture(plot.learning_curves([folder]), "How training went, in training traffic.", "Training")
     if (folder / CELLS).is_file():
         yield from _study(folder)
     if (folder / TRAFFIC).is_file():
@@ -127,7 +119,7 @@ def _origin(folder: Path) -> Iterator[str]:
         ]
     except (ValueError, TypeError) as error:
         raise InputError(f"'{file}' is damaged: {error}") from None
-    yield _table(pd.DataFrame(told, columns=["", "what was run"]), is_sortable=False)
+    yield markup.table(pd.DataFrame(told, columns=["", "what was run"]), is_sortable=False)
 
 
 def _evaluation(episodes: pd.DataFrame, summary: pd.DataFrame) -> Iterator[str]:
@@ -153,40 +145,21 @@ def _evaluation(episodes: pd.DataFrame, summary: pd.DataFrame) -> Iterator[str]:
     caption += (
         f" Of {' and '.join(CONTACTS)}: in how many episodes there was one, with the 95 % interval of that share."
     )
-    yield "<h3>Evaluation</h3>" + _table(pd.DataFrame(rows).astype(object).fillna(""), caption)
+    yield "<h3>Evaluation</h3>" + markup.table(pd.DataFrame(rows).astype(object).fillna(""), caption)
     farthest_s = plot_episodes.FARTHEST_TTC_S
     told = f"Every episode is a point; the line is the mean. Times to collision above {farthest_s:g} s are drawn there."
-    yield _picture(plot_episodes.points(episodes, policies), told, "Episodes")
-    yield "<details><summary>All episodes</summary>" + _table(episodes) + "</details>"
+    yield markup.picture(plot_episodes.points(episodes, policies), told, "Episodes")
+    yield markup.details("All episodes", markup.table(episodes))
 
 
-class _Interval(NamedTuple):
-    """A figure with its 95 % interval, as a cell of a table."""
-
-    value: float
-    low: float
-    high: float
-    decimals: int | None = None
-    """Of all three; None for as many as four digits take, and for the ends as many as tell them apart."""
+def _with_contact(contacts: "pd.Series[Any]", row: "pd.Series[Any]") -> markup.Share:
+    return markup.Share(int((contacts > 0).sum()), int(row["episodes"]), float(row["low"]), float(row["high"]))
 
 
-class _Share(NamedTuple):
-    """In how many episodes something happened, and the 95 % interval of that share, as a cell of a table."""
-
-    happened: int
-    episodes: int
-    low: float
-    high: float
-
-
-def _with_contact(contacts: "pd.Series[Any]", row: "pd.Series[Any]") -> _Share:
-    return _Share(int((contacts > 0).sum()), int(row["episodes"]), float(row["low"]), float(row["high"]))
-
-
-def _with_interval(row: "pd.Series[Any]", what: str) -> _Interval:
+def _with_interval(row: "pd.Series[Any]", what: str) -> markup.Interval:
     ends = ("low", "high") if what == "mean" else (f"{what}_low", f"{what}_high")
     value, low, high = (float(row[name]) for name in (what, *ends))
-    return _Interval(value, low, high, report.ratio_decimals(low, high, 3) if what == "ratio" else None)
+    return markup.Interval(value, low, high, report.ratio_decimals(low, high, 3) if what == "ratio" else None)
 
 
 def _decisions(decisions: pd.DataFrame, *, n_networks: int) -> Iterator[str]:
@@ -199,7 +172,7 @@ def _decisions(decisions: pd.DataFrame, *, n_networks: int) -> Iterator[str]:
     }
     table = pd.DataFrame(shares).T.reset_index(names="policy")
     table[ACTIONS] = (100 * table[ACTIONS]).round(1)
-    yield "<h3>Decisions</h3>" + _table(
+    yield "<h3>Decisions</h3>" + markup.table(
         table, "Of 100 decisions, how many asked for each, and how many were carried out."
     )
     if decisions["carried_out"].isin(plot_episodes.SIDES).any():
@@ -207,34 +180,34 @@ def _decisions(decisions: pd.DataFrame, *, n_networks: int) -> Iterator[str]:
             "Where lane changes were begun, by the distance driven since the host entered, wherever that was: to the "
             "left upwards, to the right downwards. Those that were taken back are among them."
         )
-        yield _picture(plot_episodes.lane_changes(decisions), told)
+        yield markup.picture(plot_episodes.lane_changes(decisions), told)
         if n_networks == 1 and not plot_episodes.is_straight(decisions):
             told = "The same lane changes on the network's map; grey is the way that was driven."
-            yield _picture(plot_episodes.lane_change_map(decisions), told)
+            yield markup.picture(plot_episodes.lane_change_map(decisions), told)
 
 
 def _study(folder: Path) -> Iterator[str]:
     if (folder / TABLE1).is_file():
-        yield "<h3>Table 1</h3>" + _table(_read(folder / TABLE1))
+        yield "<h3>Table 1</h3>" + markup.table(_read(folder / TABLE1))
     yield _figures(folder, "figure_*.svg")
     cells = _read(folder / CELLS)
     by = [name for name in ("system", "trajectories", "seed") if name in cells]
     means = cells.groupby(by, sort=False)[["speed_kmh", "overtakes", "lane_changes", "refused_decisions"]].mean()
     caption = "The mean of each training's held-out episodes."
-    yield "<details><summary>All cells</summary>" + _table(means.round(2).reset_index(), caption) + "</details>"
+    yield markup.details("All cells", markup.table(means.round(2).reset_index(), caption))
 
 
 def _sweep(folder: Path) -> Iterator[str]:
     differences = _read(folder / DIFFERENCES)
     if (folder / SWEEP).is_file():
-        yield "<h3>All vehicles</h3>" + _table(*_of_markdown((folder / SWEEP).read_text(encoding="utf-8")))
+        yield "<h3>All vehicles</h3>" + markup.table(*_of_markdown((folder / SWEEP).read_text(encoding="utf-8")))
     yield _figures(folder / "figures", "*.svg")
     of_all = differences[(differences["vehicles"] == ALL) & (differences["driver"] != AS_THEY_ARE)]
     of_all = _with_intervals(of_all.drop(columns="vehicles"), "difference", "relative")
     caption = "Differences from the same runs without driven cars, of all vehicles, with 95 % intervals."
-    yield "<details><summary>All differences</summary>" + _table(of_all, caption) + "</details>"
-    means = _table(_with_intervals(_read(folder / SUMMARY), "mean"), "Means over seeds, with 95 % intervals.")
-    yield f"<details><summary>Means of every arm</summary>{means}</details>"
+    yield markup.details("All differences", markup.table(of_all, caption))
+    means = markup.table(_with_intervals(_read(folder / SUMMARY), "mean"), "Means over seeds, with 95 % intervals.")
+    yield markup.details("Means of every arm", means)
     if (folder / EDGES).is_file():
         yield from _edges(_read(folder / EDGES))
 
@@ -254,8 +227,8 @@ def _edges(edges: pd.DataFrame) -> Iterator[str]:
     short = {measure: told.heading for measure, told in TOLD.items()}
     short |= {"arm": "driver", "vehkm": "veh km", "drac_above_3_4_per_vehkm": "DRAC > 3.4 m/s², per veh km"}
     caption = "All vehicles of a type, all seeds together."
-    by_type = _table(rates(edges, ["arm", "type"]).rename(columns=short), caption)
-    yield f"<details><summary>By type</summary>{by_type}</details>"
+    by_type = markup.table(rates(edges, ["arm", "type"]).rename(columns=short), caption)
+    yield markup.details("By type", by_type)
     for heading, told, summed, shown in (
         (
             "Where time is lost",
@@ -283,7 +256,7 @@ def _edges(edges: pd.DataFrame) -> Iterator[str]:
             beside = by_edge.pivot(index="edge", columns="arm", values=shown)
             beside = beside.loc[most.index, by_edge["arm"].drop_duplicates()].reset_index()
             caption = f"{told.format(len(most))}; all seeds together."
-            yield f"<details><summary>{heading}</summary>{_table(beside, caption)}</details>"
+            yield markup.details(heading, markup.table(beside, caption))
 
 
 def _of_markdown(text: str) -> tuple[pd.DataFrame, str]:
@@ -298,7 +271,7 @@ def _figures(folder: Path, pattern: str) -> str:
     """Return a folder's figures as a grid of small ones: the measures of the table above, others, what is none."""
     files = {file.stem.removeprefix("figure_"): file for file in sorted(folder.glob(pattern))}
     names = [name for name in dict.fromkeys((*TOLD, *HEADINGS, *files)) if name in files]
-    images = (_image(files[name].read_bytes(), HEADINGS.get(name, name.replace("_", " "))) for name in names)
+    images = (markup.image(files[name].read_bytes(), HEADINGS.get(name, name.replace("_", " "))) for name in names)
     return f'<div class="figures">{"".join(images)}</div>'
 
 
@@ -318,7 +291,7 @@ def _settings(folders: Sequence[Path]) -> str:
     rows = [
         {"key": key, "default": default[key]} | {name: config[key] for name, config in found.items()} for key in keys
     ]
-    return _table(pd.DataFrame(rows).astype(str), "Keys that differ from the default; all others have theirs.")
+    return markup.table(pd.DataFrame(rows).astype(str), "Keys that differ from the default; all others have theirs.")
 
 
 def _read(file: Path) -> pd.DataFrame:
@@ -328,58 +301,3 @@ def _read(file: Path) -> pd.DataFrame:
         return pd.read_csv(file) if file.suffix == ".csv" else pd.read_parquet(file)
     except Exception as error:  # whatever pandas and pyarrow stumble over
         raise InputError(f"'{file}' is damaged: {str(error).splitlines()[0]}") from None
-
-
-def _table(table: pd.DataFrame, caption: str = "", *, is_sortable: bool = True) -> str:
-    """Return a table as HTML; numbers with four digits, and sortable by their full value."""
-    cells = [[_cell(value) for value in row] for row in table.itertuples(index=False, name=None)]
-    first = cells[0] if cells else [""] * table.shape[1]
-    heads = "".join(
-        f'<th scope="col" class="{"words" if cell.startswith(WORDS) else "number"}">{html.escape(str(name))}</th>'
-        for name, cell in zip(table, first, strict=True)
-    )
-    rows = "".join(f"<tr>{''.join(row)}</tr>\n" for row in cells)
-    below = f"<caption>{html.escape(caption)}</caption>" if caption else ""
-    kind = ' class="sortable"' if is_sortable else ""
-    return f'<div class="wide"><table{kind}>{below}<thead><tr>{heads}</tr></thead><tbody>\n{rows}</tbody></table></div>'
-
-
-def _cell(value: Any) -> str:
-    if isinstance(value, _Interval):
-        if math.isnan(value.value):
-            return "<td></td>"
-        shown = f"{value.value:.4g}" if value.decimals is None else f"{value.value:.{value.decimals}f}"
-        return f'<td data-value="{value.value!r}">{shown}{_within(value.low, value.high, value.decimals)}</td>'
-    if isinstance(value, _Share):
-        if not value.episodes:
-            return "<td></td>"
-        within = f"<small>{100 * value.low:.2g} to {100 * value.high:.2g} %</small>"
-        share = value.happened / value.episodes
-        return f'<td data-value="{share!r}">{value.happened} of {value.episodes}{within}</td>'
-    if isinstance(value, float):
-        return "<td></td>" if math.isnan(value) else f'<td data-value="{value!r}">{value:.4g}</td>'
-    text = html.escape(str(value))
-    return f"<td>{text}</td>" if isinstance(value, int) else f"{WORDS}{text}</td>"
-
-
-def _within(low: float, high: float, decimals: int | None) -> str:
-    """Return an interval: its ends with so many decimals, or as many digits, four at least, as tell them apart."""
-    if math.isnan(low):
-        return ""
-    if low == high:
-        return "<small>± 0, the same in all</small>"
-    if decimals is not None:
-        return f"<small>{low:.{decimals}f} to {high:.{decimals}f}</small>"
-    digits = next(n for n in range(4, 18) if f"{low:.{n}g}" != f"{high:.{n}g}")
-    return f"<small>{low:.{digits}g} to {high:.{digits}g}</small>"
-
-
-def _picture(figure: "Figure", caption: str, title: str = "") -> str:
-    image = io.BytesIO()
-    figure.savefig(image, format="svg", metadata={"Date": None})
-    return (f"<h3>{title}</h3>" if title else "") + _image(image.getvalue(), caption)
-
-
-def _image(svg: bytes, caption: str) -> str:
-    data, told = base64.b64encode(svg).decode(), html.escape(caption)
-    return f'<figure><img alt="{told}" src="data:image/svg+xml;base64,{data}"><figcaption>{told}</figcaption></figure>'
