@@ -116,6 +116,15 @@ def test_the_picture_is_of_the_kind_its_name_says(run, tmp_path, suffix):
     assert [path.name for path in out.parent.iterdir()] == [out.name]
 
 
+@pytest.mark.parametrize("kind", ["png", "svg", "pdf"])
+def test_a_figure_is_the_same_bytes_whenever_it_is_drawn(run, kind):
+    mine = run("mine", [1, 2])
+    first, second = (plot.picture(plot.learning_curves([mine]), kind) for _ in range(2))
+    assert first == second
+    assert b"CreationDate" not in first
+    assert b"dc:date" not in first
+
+
 def test_what_cannot_be_written_is_refused_in_one_line(run, tmp_path):
     figure = plot.learning_curves([run("mine", [1, 2])])
     with pytest.raises(InputError, match=r"must end in \.png, \.svg or \.pdf; got 'curves\.jpg'"):

@@ -2,11 +2,12 @@
 
 import base64
 import html
-import io
 import math
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 import pandas as pd
+
+from rail_sumo.pictures import plot
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -55,9 +56,7 @@ def details(summary: str, body: str) -> str:
 
 def picture(figure: "Figure", caption: str, title: str = "") -> str:
     """Return a figure, below a heading if it has a title."""
-    drawn = io.BytesIO()
-    figure.savefig(drawn, format="svg", metadata={"Date": None})
-    return (f"<h3>{title}</h3>" if title else "") + image(drawn.getvalue(), caption)
+    return (f"<h3>{title}</h3>" if title else "") + image(plot.picture(figure, "svg"), caption)
 
 
 def image(svg: bytes, caption: str) -> str:

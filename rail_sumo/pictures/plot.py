@@ -1,5 +1,6 @@
 """Learning curves, and what more demonstrations bring, as pictures. Needs matplotlib, the extra `plots`."""
 
+import io
 import itertools
 import re
 import textwrap
@@ -182,7 +183,18 @@ def save(figure: "Figure", out: Path, *, overwrite: bool = False) -> None:
         raise InputError(f"a picture's name must end in .png, .svg or .pdf; got '{out}'")
     check_file(out, overwrite=overwrite)
     with whole_file(out) as partial:
-        figure.savefig(partial, format=out.suffix[1:], dpi=150)
+        partial.write_bytes(picture(figure, out.suffix[1:]))
+
+
+def picture(figure: "Figure", kind: str) -> bytes:
+    """Return the picture as a file of this kind (png, svg or pdf), the same bytes for the same figure."""
+    from matplotlib import rc_context
+
+    undated = {"svg": {"Date": None}, "pdf": {"CreationDate": None}}
+    drawn = io.BytesIO()
+    with rc_context({"svg.hashsalt": "rail-sumo"}):  # else an element's id is drawn by chance
+        figure.savefig(drawn, format=kind, dpi=150, metadata=undated.get(kind))
+    return drawn.getvalue()
 
 
 def _progress(run: Path) -> pd.DataFrame:
