@@ -218,10 +218,10 @@ def test_a_window_shows_every_decision_until_it_is_closed(make, monkeypatch):
 def test_the_next_episode_has_the_same_window(make):
     env = make(render_mode="human", config={"episode": {"duration_s": 0.2, "decision_period_s": 0.1}})
     env.reset(seed=1)
-    first = env.unwrapped._window
+    first = env.unwrapped._renderer._window
     env.step(0)
     env.reset(seed=2)
-    assert env.unwrapped._window is first
+    assert env.unwrapped._renderer._window is first
     env.close()
     assert first.is_closed
 

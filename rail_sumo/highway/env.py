@@ -11,11 +11,11 @@ from gymnasium import spaces
 from numpy.typing import NDArray
 
 from rail_sumo import assets
-from rail_sumo.config import FASTEST_CAR_MPS, Config
-from rail_sumo.errors import InputError, did_you_mean
-from rail_sumo.highway import drawing, sumo_process, varied, window
+from rail_sumo.config import Config
+from rail_sumo.errors import InputError
+from rail_sumo.highway import rendering, sumo_process, varied
 from rail_sumo.highway.agent import Agent
-from rail_sumo.highway.network import demand, markings, road
+from rail_sumo.highway.network import demand, road
 from rail_sumo.highway.observation import bounds
 from rail_sumo.highway.stretch import Stretch
 from rail_sumo.highway.sumo.simulation import HOST, Simulation
@@ -24,14 +24,10 @@ from rail_sumo.highway.traffic.companions import Companions
 from rail_sumo.highway.traffic.moving_window import MovingWindow
 from rail_sumo.highway.traffic.rides import Decide, keep_to_way
 from rail_sumo.highway.vehicle import lane_ends
-from rail_sumo.records import KMH, SECONDS_PER_STEP, Floats, Gaps, HostState, MetaAction, Scene, Trajectory
+from rail_sumo.records import SECONDS_PER_STEP, Floats, Gaps, HostState, MetaAction, Scene, Trajectory
 
 DEMAND_START_M = 10.0
 """Place on the course where the host enters the user's own traffic."""
-RENDER_MODES = ("human", "rgb_array")
-FRAME_PX = 960
-VIEW = drawing.View(behind_m=44.0, ahead_m=66.0, right_m=18.4, left_m=18.4)
-"""What a frame shows: 960 x 384 pixels."""
 
 
 class HighwayEnv(gymnasium.Env[Floats, np.int64]):
@@ -55,10 +51,8 @@ class HighwayEnv(gymnasium.Env[Floats, np.int64]):
             needs is not installed.
     """
 
-    metadata = {"render_modes": list(RENDER_MODES), "render_fps": 1.0}  # noqa: RUF012  gymnasium reads it from the class
+    metadata = rendering.metadata_of(Config())
     _simulation: Simulation | None = None
-    _picture: drawing.Picture | None = None
-    _window: window.Window | None = None
 
     def __init__(
         self,
@@ -73,8 +67,9 @@ class HighwayEnv(gymnasium.Env[Floats, np.int64]):
         self._decider_of = companions
         self.companions: Companions | None = None
         """The driven vehicles around the host; None while there are none."""
-        self.render_mode = checked(render_mode)
-        self.metadata = metadata_of(self.config)
+        self.render_mode = render_mode
+        self._renderer = rendering.Renderer(self.config, render_mode)
+        self.metadata = rendering.metadata_of(self.config)
         self._hands_off = hands_off
         self._outputs = outputs
         self._settle(varied.draw(self.config, 0))
@@ -117,14 +112,14 @@ class HighwayEnv(gymnasium.Env[Floats, np.int64]):
         self._seed = int(self.np_random.integers(2**31)) if seed is None else seed
         if self.config.varied.networks:
             self._settle(varied.draw(self.config, self._seed))
-            self._picture = None  # its colours are for the limits of one network
+            self._renderer.forget()  # its colours are for the limits of one network
         try:
             self._open(np.random.default_rng(self._seed), self._outputs_of_host())
         except BaseException:
             self.close()  # or no other environment could begin in this process
             raise
         observation = self._look(0)
-        self._show()
+        self._renderer.show(self.agent)
         return observation, self.agent.info(self._seed)
 
     def _outputs_of_host(self) -> Sequence[str]:
@@ -212,8 +207,8 @@ class HighwayEnv(gymnasium.Env[Floats, np.int64]):
         of the `episodes` table, and `is_success`: whether it ended without a contact. Its whole course is `trajectory`.
         """
         observation, _ = self.drive(action)
-        self._show()
         agent = self.agent
+        self._renderer.show(agent)
         crashed = agent.end == "collision"
         return observation, agent.earned(), crashed, self.is_over and not crashed, agent.info(self._seed)
 
@@ -321,8 +316,6 @@ class HighwayEnv(gymnasium.Env[Floats, np.int64]):
         """Return the episode so far."""
         return self.agent.trajectory(self._seed)
 
-    # What it looks like.
-
     def render(self) -> NDArray[np.uint8] | None:
         """Return the road around the host at its last decision, shape (384, 960, 3), in the mode "rgb_array".
 
@@ -333,28 +326,7 @@ class HighwayEnv(gymnasium.Env[Floats, np.int64]):
         """
         if self.render_mode is None:
             gymnasium.logger.warn("render() shows nothing without a render_mode; make the environment with one")
-        return self._frame() if self.render_mode == "rgb_array" else None
-
-    def _show(self) -> None:
-        if self.render_mode == "human":
-            self._window = self._window or window.Window("rail-sumo", self.metadata["render_fps"])
-            self._window.show(self._frame())
-
-    def _frame(self) -> NDArray[np.uint8]:
-        if self._agent is None:
-            raise RuntimeError("there is nothing to show yet; call reset()")
-        agent, course = self._agent, self._agent.stretch.road
-        if self._picture is None:
-            self._picture = drawing.Picture(FRAME_PX, VIEW, (0.0, min(course.highest_limit_mps, FASTEST_CAR_MPS) * KMH))
-        moment = drawing.Moment(
-            agent.scene,
-            agent.observation[: self.config.lidar.n_rays],
-            markings.of(course),
-            course.boundaries,
-            is_left_hand=course.is_left_hand,
-        )
-        self._picture.draw(moment, _told(agent), f"{agent.n_steps * SECONDS_PER_STEP:.1f} s")
-        return self._picture.pixels()
+        return self._renderer.frame(self._agent) if self.render_mode == "rgb_array" else None
 
     def __del__(self) -> None:
         with suppress(Exception):  # while the interpreter shuts down nothing is certain
@@ -363,42 +335,9 @@ class HighwayEnv(gymnasium.Env[Floats, np.int64]):
     def close(self) -> None:
         """Free the process's simulation, and close the window; harmless when neither is open."""
         self._free()
-        if self._window is not None:
-            self._window.close()
-            self._window = None
+        self._renderer.close()
 
     def _free(self) -> None:
         if self._simulation is not None:
             self._simulation.close()
             self._simulation = None
-
-
-def checked(render_mode: str | None) -> str | None:
-    """Return a render mode, if all is there that it needs.
-
-    Raises:
-        InputError: there is no such mode, or what it needs is not installed.
-    """
-    if render_mode is not None:
-        if render_mode not in RENDER_MODES:
-            raise InputError(f"render_mode '{render_mode}' not found{did_you_mean(render_mode, RENDER_MODES)}")
-        drawing.require_matplotlib()
-        if render_mode == "human":
-            window.require_pygame()
-    return render_mode
-
-
-def metadata_of(config: Config) -> dict[str, Any]:
-    """Return Gymnasium's metadata: a frame for every decision, as many in a second as are taken."""
-    return {"render_modes": list(RENDER_MODES), "render_fps": 1.0 / config.episode.decision_period_s}
-
-
-def _told(agent: Agent) -> str:
-    """Return the line above a frame: the host's speed, and its last decision."""
-    speed = f"{agent.scene.speed_mps[0] * KMH:.0f} km/h"
-    if agent.end is not None:
-        return f"{speed}, the end: {agent.end}"
-    if agent.decided is None:
-        return speed
-    asked, why = agent.decided[0].name.lower(), agent.adas.why
-    return f"{speed}, {asked}{f' (not carried out: {why})' if why else ''}"

@@ -14,7 +14,8 @@ from gymnasium import spaces
 from numpy.typing import NDArray
 
 from rail_sumo.config import Config
-from rail_sumo.highway.env import HighwayEnv, checked, metadata_of
+from rail_sumo.highway import rendering
+from rail_sumo.highway.env import HighwayEnv
 from rail_sumo.highway.observation import bounds
 from rail_sumo.records import Floats, MetaAction, Trajectory
 
@@ -99,8 +100,8 @@ class Isolated(gymnasium.Env[Floats, np.int64]):
     metadata = HighwayEnv.metadata
 
     def __init__(self, config: Config, *, render_mode: str | None = None, **further: Any) -> None:
-        self.render_mode = checked(render_mode)
-        self.metadata = metadata_of(config)
+        self.render_mode = rendering.checked(render_mode)
+        self.metadata = rendering.metadata_of(config)
         self.observation_space = spaces.Box(*bounds(config.lidar, config.observation), dtype=np.float64)
         self.action_space = spaces.Discrete(len(MetaAction))
         self._child = Child(HighwayEnv, config, render_mode=render_mode, **further)
