@@ -15,6 +15,7 @@ from rail_sumo.records import Floats, MetaAction
 Holding = Literal[
     "set speed",
     "limit",
+    "limit ahead",
     "top speed",
     "vehicle ahead",
     "emergency",

@@ -8,6 +8,7 @@ import numpy as np
 import pandas as pd
 import pytest
 from driving import UNSEEN, assert_same, world
+from sketch import cut_road
 
 from rail_sumo import assets, drivers
 from rail_sumo.highway.camera import HOLDINGS, Camera
@@ -194,6 +195,19 @@ def test_before_a_red_signal_the_speed_follows_the_signal():
     assert brakes.sum() > 50
     assert set(held[brakes]) == {"signal"}
     assert (held == "signal").sum() < film.n_frames / 2  # it has turned green since
+
+
+def test_before_a_lower_limit_the_speed_follows_that_limit_and_not_the_one_where_it_is(tmp_path):
+    network = tmp_path / "slower.net.xml"
+    fast, slow = cut_road(600.0, 600.0).split('<edge id="part1"')
+    network.write_text(f'{fast}<edge id="part1"{slow.replace("36.11", "13.89")}')
+    config = world(network={"file": str(network)}, traffic={"vehicles": 0}, episode={"duration_s": 60.0})
+    film, trajectory, _ = filmed(config, "rule")
+    held = np.array([HOLDINGS[k] for k in film.driven.holding])
+    brakes = np.diff(trajectory.speed_mps, prepend=trajectory.speed_mps[0]) < -0.05
+    assert (film.driven.limit_mps[brakes] > 36.0).sum() > 30  # for 3 s and more, while the limit there is 130 km/h
+    assert set(held[brakes]) == {"limit ahead"}
+    assert set(held[film.driven.limit_mps < 14.0]) <= {"limit", "set speed"}
 
 
 class InTurn:

@@ -153,6 +153,8 @@ class Camera:
             if agent.adas.falls_in:
                 return "gap beside"
             why = slowed_for(state, adas, meant_mps)
+            if why == "limit":
+                return "limit ahead" if commanded_mps < state.limit_mps - SLACK_MPS else "limit"
             return waits if why == "stop" else why
         return steadily
 

@@ -24,6 +24,7 @@ const STAYS = {
 const HOLDINGS = {
   "set speed": "drives at the set speed",
   limit: "keeps to the speed limit",
+  "limit ahead": "slows down for a lower speed limit ahead",
   "top speed": "drives as fast as its own vehicle can (maxSpeed)",
   "vehicle ahead": "follows the vehicle ahead",
   emergency: "brakes in an emergency",
