@@ -1,5 +1,4 @@
 import math
-from pathlib import Path
 
 import libsumo
 import pytest
@@ -105,14 +104,13 @@ def test_when_the_first_and_the_last_depart_is_known(tmp_path, element, span_s):
     assert read([written(tmp_path, f"<routes>{element}</routes>")]).departs_s == span_s
 
 
-def test_the_folders_that_a_demand_writes_into_are_known(tmp_path, monkeypatch):
-    monkeypatch.chdir(tmp_path)
+def test_what_a_demand_has_sumo_write_is_known(tmp_path):
     detectors = '<e1Detector id="d" file="e1.xml"/><calibrator id="c" output="sub/c.xml"/><edgeData file="/dev/null"/>'
     path = written(tmp_path, f"<additional>{detectors}</additional>", "d.add.xml")
-    assert read([], [path]).folders_written == {tmp_path, tmp_path / "sub", Path("/dev")}
+    assert read([], [path]).written == {"e1.xml", "c.xml", "null"}
     device = '<vType id="t"><param key="device.ssm.file" value="ssm/all.xml"/></vType><trip id="0"/>'
-    assert tmp_path / "ssm" in read([written(tmp_path, f"<routes>{device}</routes>")]).folders_written
-    assert not read().folders_written
+    assert read([written(tmp_path, f"<routes>{device}</routes>")]).written == {"all.xml"}
+    assert not read().written
 
 
 def test_options_of_sumos_are_names_and_values_and_not_ours():

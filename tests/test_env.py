@@ -1,6 +1,8 @@
 import dataclasses
 import math
+import os
 import re
+import tempfile
 import xml.etree.ElementTree as ElementTree
 
 import gymnasium
@@ -390,19 +392,38 @@ def test_the_duration_ends_the_episode(make):
     assert (driven.end_reason, len(driven.lane_changing), len(driven.decisions)) == ("duration", 120, 12)
 
 
-def test_what_detectors_report_replaces_nothing_and_is_not_kept(make, tmp_path):
+def test_what_detectors_report_replaces_nothing_and_is_not_kept(make, tmp_path, monkeypatch):
+    ours = tmp_path / "of SUMO"
+    ours.mkdir()
+    monkeypatch.setattr(tempfile, "tempdir", str(ours))
     (tmp_path / "sub").mkdir()
     (tmp_path / "sub" / "e1.xml").write_text("mine, of last week")
     detector = '<e1Detector id="d" lane="highway_0" pos="500" period="5" file="sub/e1.xml"/>'
     (tmp_path / "d.add.xml").write_text(f'<additional>{detector}<edgeData id="m" file="means.xml"/></additional>')
+    monkeypatch.chdir(tmp_path / "sub")  # a relative path is climbed from too
     before = sorted(tmp_path.rglob("*"))
     env = make(world(traffic=EMPTY | {"additional": [str(tmp_path / "d.add.xml")]}, episode={"duration_s": 20.0}))
     drive(env, always(KEEP))
     env.reset(seed=UNSEEN)
-    assert len(list(tmp_path.rglob("rail_sumo_*"))) == 2  # they do report
+    links = {path.name: str(path.readlink()) for path in ours.rglob("*.xml")}
+    assert links == {"e1.xml": os.devnull, "means.xml": os.devnull}
     env.close()
     assert sorted(tmp_path.rglob("*")) == before
     assert (tmp_path / "sub" / "e1.xml").read_text() == "mine, of last week"
+
+
+def test_detectors_may_lie_where_nothing_can_be_written_and_a_folder_that_is_missing_is_named(make, tmp_path):
+    (tmp_path / "theirs").mkdir()
+    additional = tmp_path / "theirs" / "d.add.xml"
+    additional.write_text('<additional><edgeData id="m" file="means.xml"/></additional>')
+    (tmp_path / "theirs").chmod(0o555)
+    drive(make(world(traffic=EMPTY | {"additional": [str(additional)]}, episode={"duration_s": 5.0})), always(KEEP))
+    assert list((tmp_path / "theirs").iterdir()) == [additional]  # nor was anything for a superuser, who may write
+    (tmp_path / "theirs").chmod(0o755)
+    additional.write_text('<additional><edgeData id="m" file="none/means.xml"/></additional>')
+    there = str(tmp_path / "theirs" / "none" / "means.xml")
+    with pytest.raises(InputError, match=rf"Could not build output file '{there}' \(No such file or directory\)\.$"):
+        make(world(traffic=EMPTY | {"additional": [str(additional)]})).reset(seed=UNSEEN)
 
 
 def test_a_report_that_is_asked_for_is_called_as_asked_beside_detectors_too(make, tmp_path):

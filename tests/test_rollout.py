@@ -99,7 +99,8 @@ def test_what_goes_wrong_ends_our_own_processes_at_once_and_no_others(tmp_path, 
         stranger.join()
 
 
-def test_workers_that_are_ended_leave_nothing_beside_the_users_files(tmp_path):
+def test_workers_that_are_ended_leave_nothing_behind(tmp_path, monkeypatch):
+    monkeypatch.setenv("TMPDIR", str(tmp_path))
     detector = '<e1Detector id="d" lane="highway_0" pos="500" period="5" file="e1.xml"/>'
     (tmp_path / "d.add.xml").write_text(f"<additional>{detector}</additional>")
     traffic = {"routes": ("highway3",), "additional": (str(tmp_path / "d.add.xml"),)}

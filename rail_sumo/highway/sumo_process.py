@@ -12,6 +12,7 @@ import libsumo
 
 from rail_sumo.errors import InputError
 from rail_sumo.highway.names import HOST
+from rail_sumo.highway.sumo_outputs import without_prefix
 
 SUMO_ERRORS = (libsumo.TraCIException, libsumo.FatalTraCIError)
 
@@ -31,12 +32,13 @@ def as_input_errors(function: Callable[Given, Returned]) -> Callable[Given, Retu
         try:
             return function(*args, **kwargs)
         except SUMO_ERRORS as error:
-            if f"'{getattr(args[0], 'host_name', HOST)}'" in str(error):
+            told = without_prefix(str(error))
+            if f"'{getattr(args[0], 'host_name', HOST)}'" in told:
                 raise InputError(
                     "the host was taken off the road; keep rerouters, vaporizers and the like on its course out of "
-                    f"traffic.additional (SUMO: {error})"
+                    f"traffic.additional (SUMO: {told})"
                 ) from None
-            raise InputError(f"SUMO stopped: {error}") from None
+            raise InputError(f"SUMO stopped: {told}") from None
 
     return guarded
 
@@ -108,4 +110,4 @@ def _reason(said: bytes, error: Exception) -> str:
     """Return the first error that SUMO told on standard error; its exception often knows only "Process Error"."""
     lines = (line.strip() for line in said.decode(errors="replace").splitlines())
     told = next((line.removeprefix("Error: ") for line in lines if line.startswith("Error")), str(error))
-    return " ".join(told.split())
+    return " ".join(without_prefix(told).split())

@@ -70,11 +70,10 @@ class Demand:
         return {lane for one in self.contents for lane in one.closed_lanes}
 
     @property
-    def folders_written(self) -> set[Path]:
-        """The folders into which it may have SUMO write: beside what names a file there, and the current one."""
-        named = ((path, name) for path in self.files for name in demand_file.read(path).outputs)
-        written = {(folder / name).parent for path, name in named for folder in (path.parent, Path.cwd())}
-        return written | {path.parent for path in self.files} | ({Path.cwd()} if self.files else set())
+    def written(self) -> set[str]:
+        """Names of the files that it has SUMO write, without their folders, as far as it names them."""
+        names = (name for one in self.contents for name in one.outputs)
+        return {Path(name).name for name in names} - {""}
 
 
 def read(traffic: config.Traffic) -> Demand:

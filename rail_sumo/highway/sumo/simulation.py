@@ -1,6 +1,5 @@
 """The one libsumo process: Scene out, Command in. SUMO's facts are converted once, here and in `host`."""
 
-import os
 from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
 from statistics import fmean
@@ -21,6 +20,7 @@ from rail_sumo.highway.sumo.held import HeldVehicles
 from rail_sumo.highway.sumo.inserted import Inserted
 from rail_sumo.highway.sumo.options import options_of
 from rail_sumo.highway.sumo.sight import Sight
+from rail_sumo.highway.sumo_outputs import Outputs
 from rail_sumo.highway.vehicle.abilities import HOST_TYPE
 from rail_sumo.highway.vehicle.host import Host
 from rail_sumo.records import SECONDS_PER_STEP, Command, Lane, Scene
@@ -67,7 +67,8 @@ class Simulation:
         InputError: SUMO cannot load the network or the demand.
     """
 
-    _latest: "ClassVar[Simulation | None]" = None
+    _latest_outputs: ClassVar[Outputs | None] = None
+    _outputs: Outputs | None = None
 
     def __init__(
         self,
@@ -89,16 +90,17 @@ class Simulation:
         """The vehicles that are driven; the first is `host`."""
         self.watch: Callable[[], None] | None = None
         """Called after every step, to look at what there is and change nothing."""
-        self._prefix = f"{OURS}{os.getpid()}_"
-        self._written = demand.folders_written
-        self._outputs = outputs
         options = options_of(net_file, demand, begin_s=begin_s, seed=seed)
         if demand.files:  # whatever they write is not kept, and must not overwrite what the user has
-            options["output-prefix"] = self._prefix
-        Simulation._latest = self
+            self._outputs = Simulation._latest_outputs = Outputs(outputs, demand.written)
+            options["output-prefix"] = self._outputs.prefix
         try:
             sumo_process.start(options, outputs)
-        except sumo_process.Refused as error:
+        except BaseException as error:
+            if self._outputs is not None:
+                self._outputs.clear_away()
+            if not isinstance(error, sumo_process.Refused):
+                raise
             damaged = sumo_xml.first_damaged([net_file, *demand.additional, *demand.routes])
             which = f"'{damaged.name}'" if damaged else "the network or its demand"
             raise InputError(f"SUMO cannot load {which}: {error}") from None
@@ -119,22 +121,14 @@ class Simulation:
         if self._is_open:
             sumo_process.close()
             self._is_open = False
-            for asked in map(Path, filter(None, self._outputs)):
-                written = asked.with_name(f"{self._prefix}{asked.name}")
-                if written.exists():
-                    written.replace(asked)
-            self._remove_reports()
-
-    def _remove_reports(self) -> None:
-        for folder in self._written:
-            for report in folder.glob(f"{self._prefix}*"):
-                report.unlink(missing_ok=True)
+            if self._outputs is not None:
+                self._outputs.close()
 
     @staticmethod
     def clear_away() -> None:
-        """Remove what the latest simulation of this process has written beside the user's files, since it ends now."""
-        if Simulation._latest is not None:
-            Simulation._latest._remove_reports()
+        """Remove what the latest simulation of this process has written and not ended, since it ends now."""
+        if Simulation._latest_outputs is not None:
+            Simulation._latest_outputs.clear_away()
 
     def lay_course(
         self, road: Road, adas: config.Adas, *, sees_m: float, host: str = HOST, shares_type: bool = False
