@@ -52,6 +52,16 @@ def test_the_host_is_a_car_of_the_demand_where_when_and_as_large_as_it_is(make, 
     assert max(numbers) - min(numbers) > 15  # all over the demand's time
 
 
+def test_where_a_demand_ends_soon_any_of_its_cars_will_do_and_none_is_waited_for_in_vain(make, tmp_path):
+    too_short = {"shortest_route_m": 1e5}  # all routes are
+    late = {begun(make, demand(tmp_path) | too_short, seed).host_name for seed in range(12)}
+    assert {f"car{k}" for k in range(33, CARS)} & late  # less than a minute before the last departure
+
+    flow = '<flow id="f" type="car" begin="0" end="200" probability="0.05"><route edges="highway"/></flow>'
+    by_chance = demand(tmp_path, flow) | too_short
+    assert len({begun(make, by_chance, seed).host_name for seed in range(12)}) > 1
+
+
 def test_every_driver_drives_the_same_car_of_a_seed(make, tmp_path):
     cars = []
     for hands_off in (False, True):

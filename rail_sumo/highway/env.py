@@ -135,19 +135,12 @@ class HighwayEnv(gymnasium.Env[Floats, np.int64]):
     def _open(self, rng: np.random.Generator, outputs: Sequence[str]) -> None:
         """Put the host and its traffic on the road."""
         traffic, adas = self.world.traffic, self.world.adas
-        simulation = self._simulation = Simulation(
-            self._net_file,
-            demand=self.demand,
-            begin_s=traffic.begin_s,
-            seed=self._seed,
-            outputs=outputs,
-            limit_factor=self.world.network.limit_factor,
-        )
         self._traffic: MovingWindow | None = None
         self.companions = None
         if self.is_one_of_the_demand:
-            self.stretch = entry.take_over(simulation, self.world, self.demand, rng)
+            simulation = self._take_over(rng, outputs)
         else:
+            simulation = self._simulate(outputs)
             self._add_host(simulation, rng)
             simulation.wait_for_host()
         self._agent = Agent(
@@ -161,6 +154,32 @@ class HighwayEnv(gymnasium.Env[Floats, np.int64]):
             self.companions = Companions(
                 simulation, self._traffic, self.stretch, self.world, self._decider_of, hands_off=self._hands_off
             )
+
+    def _simulate(self, outputs: Sequence[str]) -> Simulation:
+        self._simulation = Simulation(
+            self._net_file,
+            demand=self.demand,
+            begin_s=self.world.traffic.begin_s,
+            seed=self._seed,
+            outputs=outputs,
+            limit_factor=self.world.network.limit_factor,
+        )
+        return self._simulation
+
+    def _take_over(self, rng: np.random.Generator, outputs: Sequence[str]) -> Simulation:
+        """Make a car of the demand the host; the demand begins anew for each search after the first."""
+        first: entry.Nobody | None = None
+        for search in entry.searches(self.world, self.demand, rng):
+            self._free()
+            simulation = self._simulate(outputs)
+            try:
+                self.stretch = entry.take_over(simulation, self.world, self.demand, search)
+            except entry.Nobody as nobody:
+                first = first or nobody
+            else:
+                return simulation
+        assert first is not None
+        raise first
 
     def _add_host(self, simulation: Simulation, rng: np.random.Generator) -> None:
         """Add a host of ours to the demand, or to a window of traffic that is made for it."""

@@ -122,17 +122,26 @@ class HighwayParallelEnv(ParallelEnv[str, Floats, int]):
             self._rng, _ = np_random(seed)
         self._seed = int(self._rng.integers(2**31)) if seed is None else seed
         try:
-            simulation = self._open(np.random.default_rng(self._seed))
-            self._drive_to_next_entry(simulation)
-            if not self._live:
-                raise InputError(entry.nobody(self.config, self._demand, self._refused, simulation.now_s))
+            self._let_first_enter()
         except BaseException:
             self.close()  # or no other environment could begin in this process
             raise
         told = self._tell((), {})
         return {name: one.observation for name, one in told.items()}, {name: one.info for name, one in told.items()}
 
-    def _open(self, rng: np.random.Generator) -> Simulation:
+    def _let_first_enter(self) -> None:
+        """Drive until the first host has departed; the demand begins anew for each search after the first."""
+        nobody = ""
+        for search in entry.searches(self.config, self._demand, np.random.default_rng(self._seed)):
+            self.close()
+            simulation = self._open(search)
+            self._drive_to_next_entry(simulation)
+            if self._live:
+                return
+            nobody = nobody or entry.nobody(self.config, self._demand, self._refused, simulation.now_s)
+        raise entry.Nobody(nobody)
+
+    def _open(self, search: entry.Search) -> Simulation:
         simulation = self._simulation = Simulation(
             self._net_file,
             demand=self._demand,
@@ -147,8 +156,8 @@ class HighwayParallelEnv(ParallelEnv[str, Floats, int]):
         self._awaited = list(self.possible_agents)
         self._kinds = entry.kinds_of(self._demand)
         self._refused: list[str] = []
-        self._awaited_from_s, self._awaited_until_s = entry.moments(self.config, self._demand, rng)
-        simulation.run_until(self._awaited_from_s - SECONDS_PER_STEP)
+        self._search = search
+        simulation.run_until(search.from_s - SECONDS_PER_STEP)
         return simulation
 
     @sumo_process.as_input_errors
@@ -217,14 +226,15 @@ class HighwayParallelEnv(ParallelEnv[str, Floats, int]):
             self._let_enter(simulation, steps_left)
 
     def _let_enter(self, simulation: Simulation, steps_left: int) -> None:
-        waited_s = simulation.now_s - self._awaited_from_s
+        waited_s = simulation.now_s - self._search.from_s
         departed, config = simulation.departed(), self.config
-        for car, stretch in entry.replaceable(departed, config, self._kinds, self._refused, waited_s=waited_s):
+        is_choosy = waited_s < self._search.choosy_s
+        for car, stretch in entry.replaceable(departed, config, self._kinds, self._refused, is_choosy=is_choosy):
             name = self._awaited.pop(0)
             self._live[name] = self._rides.enter(car, stretch=stretch)
             self._live[name].agent.wait(steps_left)
             self.vehicles[name] = car.name
-            self._awaited_from_s, self._awaited_until_s = simulation.now_s, simulation.now_s + entry.WAIT_S
+            self._search = self._search._replace(from_s=simulation.now_s, until_s=simulation.now_s + entry.WAIT_S)
             if not self._awaited:
                 break
 
@@ -235,7 +245,7 @@ class HighwayParallelEnv(ParallelEnv[str, Floats, int]):
 
     def _may_enter(self, simulation: Simulation) -> bool:
         """Whether a host may yet depart."""
-        in_time = simulation.now_s <= self._awaited_until_s
+        in_time = simulation.now_s <= self._search.until_s
         return bool(self._awaited) and in_time and simulation.expects_vehicles
 
     # What the agents see, and how they end.

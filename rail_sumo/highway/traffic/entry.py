@@ -3,6 +3,7 @@
 import itertools
 import math
 from collections.abc import Iterable, Iterator, Sequence
+from typing import NamedTuple
 
 import numpy as np
 
@@ -18,51 +19,74 @@ from rail_sumo.records import SECONDS_PER_STEP
 
 WAIT_S = 600.0
 """How long to wait for a car that the host can replace."""
+CHOOSY_S, CHOOSY_SHARE = 60.0, 0.1
+"""After so long without one that has enough to drive, any car will do; or after this share of the span within which the
+host is to enter, if that is less."""
 WAIT_FOR_NAMED_S = 7200.0
 """How long to wait for a vehicle that is named, from the beginning."""
-CHOOSY_S = 60.0
-"""After so long without one that has enough to drive, any car will do."""
 
 
-def take_over(simulation: Simulation, config: Config, demand: Demand, rng: np.random.Generator) -> Stretch:
+class Nobody(InputError):
+    """No car departs that the host could replace."""
+
+
+class Search(NamedTuple):
+    """When to look for a car that the host can replace, in the demand's time."""
+
+    from_s: float
+    until_s: float
+    choosy_s: float
+    """How long after `from_s` it must have `traffic.shortest_route_m` to drive."""
+
+
+def take_over(simulation: Simulation, config: Config, demand: Demand, search: Search) -> Stretch:
     """Let the demand drive until a car departs that the host can replace, and make it the host.
 
-    It is the first after a moment drawn evenly from `traffic.entry_within_s` after the warm-up, or the vehicle that
-    `traffic.host` names. Of a demand without cars it is another motor vehicle.
+    It is the first that `search` allows, or the vehicle that `traffic.host` names. Of a demand without cars it is
+    another motor vehicle.
 
     Returns:
         The stretch along that car's route, from where it departs.
 
     Raises:
-        InputError: no car departs that the host could replace, the one that is named has a route that it could not
-            drive, or the network cannot be read.
+        Nobody: no car departs that the host could replace.
+        InputError: the one that is named has a route that it could not drive, or the network cannot be read.
     """
     road.require_readable(config.network.file, config.network.course)
     kinds = kinds_of(demand)
-    from_s, until_s = moments(config, demand, rng)
     refused: list[str] = []
-    simulation.run_until(from_s - SECONDS_PER_STEP)
+    simulation.run_until(search.from_s - SECONDS_PER_STEP)
     for steps in itertools.count(1):
         simulation.run_without_host(SECONDS_PER_STEP)
-        waited_s = steps * SECONDS_PER_STEP
-        for car, stretch in replaceable(simulation.departed(), config, kinds, refused, waited_s=waited_s):
+        is_choosy = steps * SECONDS_PER_STEP < search.choosy_s
+        for car, stretch in replaceable(simulation.departed(), config, kinds, refused, is_choosy=is_choosy):
             simulation.lay_course(stretch.road, config.adas, sees_m=stretch.sees_m, host=car.name)
             simulation.take_over(car)
             return stretch
-        if simulation.now_s > until_s or not simulation.expects_vehicles:
+        if simulation.now_s > search.until_s or not simulation.expects_vehicles:
             break
-    raise InputError(nobody(config, demand, refused, simulation.now_s))
+    raise Nobody(nobody(config, demand, refused, simulation.now_s))
 
 
-def moments(config: Config, demand: Demand, rng: np.random.Generator) -> tuple[float, float]:
-    """Return from when on to wait for a car that the host can replace, drawn as `take_over` says, and until when."""
+def searches(config: Config, demand: Demand, rng: np.random.Generator) -> Iterator[Search]:
+    """Yield when to look for a car that the host can replace; where one finds nobody, there may be another.
+
+    From a moment on that is drawn evenly from `traffic.entry_within_s` after the warm-up. Where the demand ends while a
+    car is waited for: any from that moment on, then any from the warm-up on.
+    """
     traffic = config.traffic
     first_s, last_s = demand.departs_s
     if not is_drawn(config):
-        return traffic.begin_s, min(last_s + WAIT_S, traffic.begin_s + WAIT_FOR_NAMED_S)
+        until_s = min(last_s + WAIT_S, traffic.begin_s + WAIT_FOR_NAMED_S)
+        yield Search(traffic.begin_s, until_s, CHOOSY_S)
+        return
     earliest_s = max(min(traffic.begin_s + traffic.warm_up_s, last_s), first_s, traffic.begin_s)
-    from_s = rng.uniform(earliest_s, max(min(last_s, earliest_s + traffic.entry_within_s), earliest_s))
-    return from_s, from_s + WAIT_S
+    latest_s = max(min(last_s, earliest_s + traffic.entry_within_s), earliest_s)
+    from_s = rng.uniform(earliest_s, latest_s)
+    yield Search(from_s, from_s + WAIT_S, min(CHOOSY_S, CHOOSY_SHARE * (latest_s - earliest_s)))
+    if last_s < from_s + WAIT_S:
+        for again_s in (from_s, earliest_s):
+            yield Search(again_s, again_s + WAIT_S, 0.0)
 
 
 def is_drawn(config: Config) -> bool:
@@ -76,7 +100,7 @@ def kinds_of(demand: Demand) -> frozenset[str]:
 
 
 def replaceable(
-    cars: Iterable[Inserted], config: Config, kinds: frozenset[str], refused: list[str], *, waited_s: float
+    cars: Iterable[Inserted], config: Config, kinds: frozenset[str], refused: list[str], *, is_choosy: bool
 ) -> Iterator[tuple[Inserted, Stretch]]:
     """Yield those of the vehicles that have just departed that the host can replace, and what it would drive.
 
@@ -85,7 +109,7 @@ def replaceable(
         config: the world; see `traffic.host` and `traffic.shortest_route_m`.
         kinds: SUMO's classes of those that may be drawn.
         refused: why others of these classes could not be driven is added here.
-        waited_s: for how long there has been none.
+        is_choosy: whether a car that is drawn must have `traffic.shortest_route_m` to drive.
 
     Raises:
         CourseError: the one that is named has a route that the host could not drive.
@@ -103,7 +127,7 @@ def replaceable(
                 raise
             refused.append(f"'{car.name}': {error}")
             continue
-        if not drawn or waited_s >= CHOOSY_S or stretch.drivable_m >= traffic.shortest_route_m:
+        if not (drawn and is_choosy) or stretch.drivable_m >= traffic.shortest_route_m:
             yield car, stretch
 
 
