@@ -106,10 +106,10 @@ class Noted(Simulation):
         super().__init__(*arguments, **named)
         self._noted = noted
 
-    def run(self, command: Command) -> int:
+    def run(self, command: Command, step: Callable[[], None] | None = None) -> int:
         self._noted["host"] = self.host.name
         self._noted["crossings"] += command.cross != 0
-        return super().run(command)
+        return super().run(command, step)
 
     def _step(self) -> None:
         super()._step()

@@ -48,12 +48,13 @@ def ratios(cells: pd.DataFrame) -> pd.DataFrame:
             continue
         table = compare(pd.concat([driven, driven_by_expert])).set_index(["system", "metric"])
         of_the_expert = {
-            metric: ratio_with_interval(*table.loc[(system, metric), ["ratio", "ratio_low", "ratio_high"]])
+            metric: ratio_with_interval(*map(float, table.loc[(system, metric), ["ratio", "ratio_low", "ratio_high"]]))
             for metric in (*METRICS, "lateral_reward")
         }
         figures = {
-            name: with_interval(*table.loc[(system, metric), ["mean", "low", "high"]], decimals)
+            name: with_interval(figure["mean"], figure["low"], figure["high"], decimals)
             for name, metric, decimals in (("refused", "refused_decisions", 1), ("told apart", "told_apart", 2))
+            for figure in [table.loc[(system, metric)]]
         }
         seeds = driven["training_seed"].nunique()
         row = {"": SYSTEMS[system].label, "mode": mode, "shown": trajectories, "seeds": seeds}

@@ -12,7 +12,7 @@ import argparse
 import numpy as np
 import pandas as pd
 
-from rail_sumo import rollout, roster
+from rail_sumo import drivers, rollout, roster
 from rail_sumo.records import MetaAction
 from rail_sumo.rollout import Task, traffic_seed
 from rail_sumo.tables import audit, statistics
@@ -66,14 +66,14 @@ def main() -> None:
     parser.add_argument("--workers", type=int, default=2)
     given = parser.parse_args()
     world = roster.world(given.runs)
-    expert = roster.find_driver("expert", world)
+    expert = drivers.load_expert(world)
     seeds = [traffic_seed(TRAFFIC, rollout.EVALUATION, episode) for episode in range(given.episodes)]
     made, areas = [], []
     with rollout.workers(given.workers) as pool:
         alone = list(pool.map(rollout.drive, [Task(expert, world, seed) for seed in seeds]))
         for name in given.runs:
             learned = roster.find_driver(name, world)
-            driven = pool.map(rollout.drive_advised, [Task(learned, world, seed, adviser=expert) for seed in seeds])
+            driven = pool.map(rollout.practise_advised, [Task(learned, world, seed, adviser=expert) for seed in seeds])
             trajectories, advised = zip(*driven, strict=True)
             made.append(decisions(trajectories, advised))
             areas.append(audit.told_apart(trajectories, alone))

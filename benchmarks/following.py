@@ -4,6 +4,7 @@ Two tables, each row a drive of its own on SUMO. The host comes up to five stand
 on. Then it drives behind a leader whose speed swings by 10 km/h to either side.
 """
 
+import argparse
 import math
 
 import libsumo
@@ -70,6 +71,7 @@ def swing(kmh: float, period_s: float) -> float:
 
 
 def main() -> None:
+    argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter).parse_args()
     console = Console(width=100)
     queue = Table("from, km/h", "hardest braking, m/s²", "smallest time to collision, s", "gap at rest, m")
     for kmh in (50, 80, 100, 130):

@@ -10,7 +10,7 @@ decision, with its standard error over episodes. Lower is better: what cannot be
 import argparse
 import contextlib
 from pathlib import Path
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 from roads import listed
@@ -23,7 +23,7 @@ from rail_sumo.policy import Policy, Shape, Whitening
 from rail_sumo.records import Floats
 
 RAYS, RANGE_M = 72, 200.0
-RICH = {
+RICH: dict[str, Any] = {
     "lidar": {"n_rays": RAYS, "max_range_m": RANGE_M},
     "observation": {"host_speed": True, "speed_limit": True, "frames": 1},
 }

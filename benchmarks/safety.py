@@ -8,6 +8,7 @@ vehicle that the host's rectangle overlaps, however many steps it lasts.
 import argparse
 import functools
 import time
+from collections.abc import Callable, Iterable
 from unittest import mock
 
 import libsumo
@@ -67,6 +68,7 @@ def episode(task: Task) -> dict[str, float]:
     with mock.patch.object(env, "Simulation", functools.partial(Watched, seen=seen)):
         driven = drive(task)
     return {
+        "episodes": 1,
         "hours": 0.1 * len(driven.lane_changing) / 3600,
         "collisions": driven.collisions,
         "struck": driven.struck,
@@ -78,8 +80,8 @@ def episode(task: Task) -> dict[str, float]:
     }
 
 
-COLUMNS = {
-    "episodes": len,
+COLUMNS: dict[str, Callable[[Iterable[float]], float]] = {
+    "episodes": sum,
     "hours": sum,
     "changes": sum,
     "aborted": sum,
@@ -106,9 +108,7 @@ def main() -> None:
         for driver in given.drivers:
             seeds = [traffic_seed(given.seed, EVALUATION, number) for number in range(given.episodes)]
             rows = list(pool.map(episode, [Task(driver, world, seed) for seed in seeds]))
-            cells = [
-                len(rows) if name == "episodes" else total(row[name] for row in rows) for name, total in COLUMNS.items()
-            ]
+            cells = [total(row[name] for row in rows) for name, total in COLUMNS.items()]
             print(f"{driver:8}" + "".join(f"{cell:>14.6g}" for cell in cells), flush=True)
     print(f"braking: hardest, m/s²; ttc: smallest, s; {time.perf_counter() - started:.0f} s of wall-clock time")
 

@@ -18,6 +18,7 @@ import pandas as pd
 from scipy import stats
 
 from rail_sumo import config_file, run, training
+from rail_sumo.rollout import Who
 
 VARIANTS = {
     "as it is": [],
@@ -44,7 +45,7 @@ def learned(given: tuple[str, int, int]) -> pd.DataFrame:
         run.demonstrate("rule", world, shown, episodes=world.train.trajectories, seed=0)
         world = config_file.load(None, [*overrides, f"train.demonstrations={shown}"])
         trained = training.learn(world, Path(folder) / "run", seed=FIRST_SEED + seed)
-        policies = {"rail": trained.policy(), "clone": trained.clone, "rule": "rule"}
+        policies: dict[str, Who] = {"rail": trained.policy(), "clone": trained.clone, "rule": "rule"}
         table, *_ = run.evaluate(policies, world, episodes=EPISODES, seed=TRAFFIC)
     means = table.groupby("policy", sort=False)[SHOWN].mean()
     ratios = means.loc[["rail", "clone"]] / means.loc["rule"]

@@ -338,7 +338,8 @@ def memory_mb(pid: int) -> dict[str, float]:
     """Return a process's memory: resident, its proportional share of it, and the most that was ever resident."""
     text = Path(f"/proc/{pid}/smaps_rollup").read_text() + Path(f"/proc/{pid}/status").read_text()
     names = {"RSS": "Rss", "PSS": "Pss", "peak RSS": "VmHWM"}
-    return {name: float(re.search(rf"^{key}:\s+(\d+) kB", text, re.M)[1]) / 1024 for name, key in names.items()}
+    found = dict(re.findall(r"^(\w+):\s+(\d+) kB", text, re.M))
+    return {name: float(found[key]) / 1024 for name, key in names.items()}
 
 
 def policy_of(run: Path | None, config: Config) -> PolicyParameters:

@@ -2,6 +2,7 @@
 
 import itertools
 from collections import deque
+from typing import Any
 
 import numpy as np
 import torch
@@ -10,7 +11,7 @@ from scipy import stats
 from rail_sumo.imitation.discriminator import Discriminator
 from rail_sumo.imitation.losses import Loss, least_squares
 from rail_sumo.imitation.random_search import RandomSearch
-from rail_sumo.records import Trajectory
+from rail_sumo.records import Floats, Trajectory
 
 
 class Ranked(RandomSearch):
@@ -22,8 +23,8 @@ class Ranked(RandomSearch):
         return super().tell(deltas, shaped[: len(deltas)], shaped[len(deltas) :])
 
 
-def shrinking(search: type[RandomSearch]) -> type[RandomSearch]:
-    """A search whose steps become smaller by 1 % an iteration."""
+def shrinking(search: Any) -> Any:
+    """A class of searches whose steps become smaller by 1 % an iteration."""
 
     class Shrinking(search):
         def tell(self, deltas, returns_plus, returns_minus):
@@ -34,15 +35,16 @@ def shrinking(search: type[RandomSearch]) -> type[RandomSearch]:
     return Shrinking
 
 
-def clipped_up(search: type[RandomSearch]) -> type[RandomSearch]:
-    """A search with momentum, whose steps have one length and whose velocity has a limit.
+def clipped_up(search: Any) -> Any:
+    """A class of searches with momentum, whose steps have one length and whose velocity has a limit.
 
     Source: Toklu, Liskowski & Srivastava, "ClipUp" (PPSN 2020). Lengths are chosen so that velocity is about as fast
     as the steps of the plain search.
     """
 
     class ClippedUp(search):
-        velocity = 0.0
+        theta: Floats
+        velocity: Floats | float = 0.0
 
         def tell(self, deltas, returns_plus, returns_minus):
             before = self.theta
