@@ -104,6 +104,15 @@ def is_expert(folder: Path) -> bool:
     return (folder / MANIFEST).is_file() and EXPERT_DEMONSTRATIONS in _manifest(folder / MANIFEST)
 
 
+def require_expert(folder: Path) -> None:
+    """Raise InputError if a folder is a run's, or another that has a manifest and is no expert's."""
+    if (folder / MANIFEST).is_file() and not is_expert(folder):
+        raise InputError(
+            f"'{folder}' is a run, or another folder with a {MANIFEST}, and not an expert's; name shipped, "
+            f"{', '.join(SHIPPED_EXPERTS)} or a folder that rail-sumo expert train has written"
+        )
+
+
 def driver(name: str) -> Path:
     """Return the folder of a shipped driver, after comparing what is needed to drive with its `manifest.json`.
 

@@ -405,7 +405,7 @@ class Train(_Section):
     """One training run."""
 
     learner: str = "rail"
-    """rail, gail, bc, dagger or ars; or one from outside, written module:attribute (see `learners.Learner`)."""
+    """One of rail, gail, bc, dagger and ars; or one from outside, written module:attribute (see `learners.Learner`)."""
     expert: str = "shipped"
     """Who is imitated, asked and compared with: "shipped", "road-expert", or a folder that `rail-sumo expert train`
     wrote."""

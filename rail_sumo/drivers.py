@@ -310,6 +310,7 @@ def load_expert(config: Config, folder: Path | None = None) -> Expert:
         InputError: it is missing or damaged, or has weights that are not finite.
     """
     folder = folder or assets.expert_folder(config.train.expert)
+    assets.require_expert(folder)
     with safe_open(assets.expert(assets.EXPERT_POLICY, folder), framework="numpy") as file:
         n_layers = len(file.keys()) // 2
         layers = [(file.get_tensor(f"{i}.weight"), file.get_tensor(f"{i}.bias")) for i in range(n_layers)]

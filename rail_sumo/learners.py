@@ -31,7 +31,8 @@ class Iteration:
 
     learned: PolicyParameters
     memory: Tensors
-    """All else that the next iteration depends on."""
+    """All else that the next iteration depends on: numpy arrays of numbers, by names of the learner's own. The
+    checkpoint that a training goes on from has them as its `memory`; at the clone that is empty."""
     driven: list[Trajectory]
     figures: Row
     """What the learner alone knows: some of the columns of `progress.csv`."""

@@ -1,7 +1,7 @@
 """Who drives under a name: a driver of ours or of another module, an expert's folder, or what a run learned."""
 
 import itertools
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from pathlib import Path
 
 from rail_sumo import assets, config_file, drivers, registry
@@ -64,6 +64,15 @@ def require_senses_heeded(policies: Iterable[str], world: Config, overrides: Ite
     if any(override.startswith(("lidar.", "observation.")) for override in overrides):
         for policy in policies:
             drivers.require_same_senses(find_driver(policy, world), world, f"policy '{policy}'")
+
+
+def unheeded_senses(who: Mapping[str, Who], world: Config) -> Iterator[str]:
+    """Tell which policies sense otherwise than a world says that was named, for a driver keeps its own senses."""
+    for policy, driver in who.items():
+        own = world.sensing if isinstance(driver, str) else world.seen_with(driver.senses).sensing
+        keys = [key for key, value in own.items() if world.sensing[key] != value]
+        if keys:
+            yield f"'{policy}' keeps the senses that it was trained with: without effect on it is {', '.join(keys)}"
 
 
 def find_driver(policy: str, world: Config, *, also: Sequence[str] = (AS_A_TYPE,)) -> Who:

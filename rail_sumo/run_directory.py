@@ -54,6 +54,8 @@ PROGRESS_COLUMNS = (
 
 CHECKSUM = "sha256"
 """The key, in what a file tells of itself, of the SHA-256 of all else in it."""
+MEMORY = "memory."
+"""What the names of a learner's memory begin with in the file of its checkpoint, beside those of its policy."""
 JUDGES = "judge."
 """What the names of the judge's tensors begin with among all that a checkpoint holds."""
 
@@ -270,7 +272,8 @@ def _csv(progress: tuple[Row, ...]) -> bytes:
 def _driver_bytes(driver: PolicyParameters, about: dict[str, Any], memory: Tensors | None = None) -> bytes:
     tensors = {"theta": driver.theta, "whitening_mean": driver.whitening.mean, "whitening_std": driver.whitening.std}
     acts = {"hidden": driver.shape.hidden, "samples": driver.samples, "masked": driver.masked}
-    return _bytes(tensors | (memory or {}), about | acts)
+    remembered = {MEMORY + name: tensor for name, tensor in (memory or {}).items()}
+    return _bytes(tensors | remembered, about | acts)
 
 
 def _read_driver(path: Path) -> tuple[PolicyParameters, Tensors, dict[str, Any]]:
@@ -284,7 +287,7 @@ def _read_driver(path: Path) -> tuple[PolicyParameters, Tensors, dict[str, Any]]
         driver.policy()
     except (KeyError, TypeError, ValueError) as error:
         raise _damaged(path, error) from None
-    return driver, tensors, about
+    return driver, {name.removeprefix(MEMORY): tensor for name, tensor in tensors.items()}, about
 
 
 def _bytes(tensors: Tensors, about: dict[str, Any]) -> bytes:

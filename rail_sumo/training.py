@@ -65,6 +65,7 @@ def learn(
                     "`Iteration` of rail_sumo.learners"
                 )
             _require_drivable(iteration.learned, checkpoint, config.train.learner)
+            _require_numbers(iteration, checkpoint, config.train.learner)
             row = _progress(iteration, checkpoint.progress, time.perf_counter() - started)
             checkpoint = Checkpoint(iteration.learned, iteration.memory, (*checkpoint.progress, row))
             run.save(checkpoint)
@@ -195,6 +196,19 @@ def _require_drivable(learned: PolicyParameters, before: Checkpoint, learner: st
         raise InputError(
             f"what learner '{learner}' yields in iteration {before.iteration + 1} cannot drive: {error}"
         ) from None
+
+
+def _require_numbers(iteration: Iteration, before: Checkpoint, learner: str) -> None:
+    """Raise InputError if an iteration's memory or its figures could not be written."""
+    told = f"what learner '{learner}' yields in iteration {before.iteration + 1} cannot be kept"
+    for name, value in iteration.memory.items():
+        if not isinstance(value, np.ndarray) or value.dtype.kind not in "biuf":
+            raise InputError(
+                f"{told}: memory '{name}' is {value!r:.40}; memory is numpy arrays of numbers, such as np.array(3)"
+            )
+    for name, figure in iteration.figures.items():
+        if not isinstance(figure, int | float | np.integer | np.floating):
+            raise InputError(f"{told}: figure '{name}' is {figure!r:.40}; figures are numbers")
 
 
 def _progress(iteration: Iteration, before: tuple[Row, ...], seconds: float) -> Row:

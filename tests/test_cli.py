@@ -94,6 +94,7 @@ BAD = {
     "eval keep --episodes 0 --out new/folder --fcd": "episodes must be at least 1; got 0",
     "eval keep --out file/out": "cannot write to 'file/out': '",
     "eval keep --fcd --out 12:30": "SUMO writes floating-car data to no path with ':' or '$' in it; choose another",
+    "reproduce table2": "invalid value for 'what': 'table2' is not one of 'table1', 'figures'; see --help",
     "train --set train.expert=none": "no expert here: 'none/manifest.json' is missing; train one (rail-sumo expert tr",
     "eval keep --fcd": "--fcd writes into the folder of --out; name one",
     "eval keep --workers ray --fcd --out new": "floating-car data are written on this machine: drive with a number of",
@@ -116,6 +117,16 @@ BAD = {
     "expert record --driver rul --out new.parquet": "policy 'rul' is neither a run directory nor a driver; did you",
     "expert record --episodes 0 --driver keep --out new.parquet": "episodes must be at least 1; got 0",
 }
+
+
+def test_senses_in_a_configuration_that_a_driver_does_not_have_are_told_of(rail_sumo, tmp_path):
+    (tmp_path / "rays.toml").write_text("[lidar]\nn_rays = 36\n[episode]\nduration_s = 5.0\n")
+    code, _, err = rail_sumo("eval", "rail", "rule", "--config", "rays.toml", "--episodes", "1", "--out", "out")
+    assert code == 0
+    told = "'rail' keeps the senses that it was trained with: without effect on it is lidar.n_rays"
+    assert told in err
+    assert "'rule'" not in err
+    assert told in json.loads((tmp_path / "out" / "evaluation.json").read_text())["notes"]
 
 
 @pytest.mark.parametrize("arguments", BAD)

@@ -213,6 +213,9 @@ def failing(**changes):
     return dataclasses.replace(LOSSES["least-squares"], **changes)
 
 
+SEVERAL = failing(minimised=lambda outputs, expert, learner, rng: outputs(expert))
+PLAIN = failing(minimised=lambda outputs, expert, learner, rng: 0.5)
+IDLE = failing(minimised=lambda outputs, expert, learner, rng: torch.tensor(0.5))
 NO_NUMBER = failing(minimised=lambda outputs, expert, learner, rng: outputs(expert).mean() * float("nan"))
 REWARDS_NOBODY = failing(reward=lambda outputs: outputs.mean())
 REWARDS_NAN = failing(reward=lambda outputs: outputs * float("nan"))
@@ -222,6 +225,22 @@ def test_a_loss_that_is_no_number_is_told_by_its_name():
     name = f"{__name__}:NO_NUMBER"
     fitted = judge(SMALL.model_copy(update={"loss": name}))
     with pytest.raises(InputError, match=rf"^judge.loss '{name}' came to nan; it must be a finite number$"):
+        fitted.fit(demonstrations(), [rollout(20)], np.random.default_rng(0))
+
+
+@pytest.mark.parametrize(
+    ("name", "said"),
+    [
+        ("SEVERAL", r"a tensor of shape \(\d+,\)"),
+        ("PLAIN", r"0\.5"),
+        ("IDLE", r"a tensor of shape \(\) that does not depend on them"),
+    ],
+)
+def test_a_loss_that_cannot_be_minimised_is_told_by_its_name(name, said):
+    fitted = judge(SMALL.model_copy(update={"loss": f"{__name__}:{name}"}))
+    with pytest.raises(
+        InputError, match=rf"^judge.loss '{__name__}:{name}' minimises {said}; it must return one number"
+    ):
         fitted.fit(demonstrations(), [rollout(20)], np.random.default_rng(0))
 
 

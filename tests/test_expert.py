@@ -122,6 +122,10 @@ def test_the_expert_that_is_named_is_imitated_asked_and_compared_with(tmp_path, 
     assert (speeds["expert"].to_numpy() > kept["speed_kmh"].to_numpy()).all()
     with pytest.raises(InputError, match="no expert here"):
         run.train(config_file.load(None, [*brief, f"train.expert={tmp_path}"]), tmp_path / "other", seed=1)
+    with pytest.raises(
+        InputError, match=r"run' is a run, .* and not an expert's; name shipped, road-expert or a folder"
+    ):
+        run.train(config_file.load(None, [*brief, f"train.expert={tmp_path / 'run'}"]), tmp_path / "other", seed=1)
 
 
 def test_a_changed_file_is_refused(trained):

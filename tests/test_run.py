@@ -928,6 +928,8 @@ def test_in_python_drivers_go_by_their_names_too(small):
 OWN_LEARNERS = """
 from dataclasses import replace
 
+import numpy as np
+
 from rail_sumo.learners import Iteration, Learner, memory_of
 
 def gives_up(practice, checkpoint, demonstrations):
@@ -946,6 +948,25 @@ def has_a_figure_of_its_own(practice, checkpoint, demonstrations):
     for iteration in with_theta(lambda theta: theta)(practice, checkpoint, demonstrations):
         yield replace(iteration, figures={"my_loss": 1.0})
 
+
+def remembers(memory):
+    def iterate(practice, checkpoint, demonstrations):
+        start = checkpoint.learned
+        assert not checkpoint.memory or (checkpoint.memory["theta"] == start.theta / 2).all()
+        learned = replace(start, theta=start.theta + 0.01)
+        yield Iteration(learned, memory(learned), practice.drive([learned], 1), {})
+    return iterate
+
+HALF, PLAIN_NUMBER = remembers(lambda new: {"theta": new.theta / 2}), remembers(lambda new: {"n": 3})
+WORDS = remembers(lambda new: {"n": np.array(["a"])})
+
+def has_a_word_for_a_figure(practice, checkpoint, demonstrations):
+    for iteration in with_theta(lambda theta: theta)(practice, checkpoint, demonstrations):
+        yield replace(iteration, figures={"mean_return": "high"})
+
+HALF, PLAIN_NUMBER, WORDS, WORD_FOR_A_FIGURE = (
+    Learner(one, iterations=1, samples=False) for one in (HALF, PLAIN_NUMBER, WORDS, has_a_word_for_a_figure)
+)
 
 TOO_SHORT, NOT_FINITE = with_theta(lambda theta: theta[:-1]), with_theta(lambda theta: theta / 0.0)
 BEYOND = with_theta(lambda theta: theta + 1e300)
@@ -989,6 +1010,36 @@ def test_what_a_learner_yields_that_cannot_drive_is_refused_at_once(small, drive
     ):
         training.learn(world, tmp_path / "run", seed=1)
     assert RunDirectory(tmp_path / "run").checkpoint().iteration == 0
+
+
+@pytest.mark.parametrize(
+    ("name", "why"),
+    [
+        ("PLAIN_NUMBER", r"memory 'n' is 3; memory is numpy arrays of numbers, such as np\.array\(3\)"),
+        ("WORDS", r"memory 'n' is array\(\['a'\], dtype='<U1'\); memory is numpy arrays of numbers, such as .*"),
+        ("WORD_FOR_A_FIGURE", "figure 'mean_return' is 'high'; figures are numbers"),
+    ],
+)
+def test_what_a_learner_yields_that_cannot_be_kept_is_refused_at_once(small, driven, tmp_path, monkeypatch, name, why):
+    (tmp_path / "own_learners.py").write_text(OWN_LEARNERS)
+    monkeypatch.syspath_prepend(tmp_path)
+    world = small.changed(train={"learner": f"own_learners:{name}", "iterations": 1})
+    with pytest.raises(
+        InputError, match=rf"^what learner 'own_learners:{name}' yields in iteration 1 cannot be kept: {why}$"
+    ):
+        training.learn(world, tmp_path / "run", seed=1)
+    assert RunDirectory(tmp_path / "run").checkpoint().iteration == 0
+
+
+def test_a_learners_memory_may_have_any_names_beside_its_policys(small, driven, tmp_path, monkeypatch):
+    (tmp_path / "own_learners.py").write_text(OWN_LEARNERS)
+    monkeypatch.syspath_prepend(tmp_path)
+    world = small.changed(train={"learner": "own_learners:HALF", "iterations": 1})
+    begun = training.learn(world, tmp_path / "run", seed=1).checkpoint()
+    assert (begun.memory["theta"] == begun.learned.theta / 2).all()
+    more = world.changed(train={"iterations": 2})
+    resumed = training.learn(more, tmp_path / "run", seed=1, resume=True).checkpoint()
+    assert (resumed.learned.theta == begun.learned.theta + 0.01).all()
 
 
 def test_a_policy_whose_parameters_are_not_finite_is_not_loaded(trained, small):

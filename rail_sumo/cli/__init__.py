@@ -27,6 +27,7 @@ def main() -> None:
         print(f"rail-sumo: {error}", file=sys.stderr)
     except typer.TyperException as error:
         if said := error.format_message():  # it is empty where the help was printed
+            said = said.replace("Value error, ", "")  # pydantic's
             print(f"rail-sumo: {said[0].lower()}{said[1:].rstrip('.?')}; see --help", file=sys.stderr)
     sys.exit(2)
 

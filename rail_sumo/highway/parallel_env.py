@@ -332,6 +332,7 @@ def _with_demand(config: Config) -> Config:
         )
     if traffic.routes or traffic.additional:
         return config
+    assets.network(file)  # or it is not there at all
     if file not in assets.routes_names():
         raise InputError(
             f"several hosts are cars of a demand, and network '{file}' has none; name its files in traffic.routes"

@@ -74,7 +74,7 @@ class Discriminator:
             rng: draws the minibatches, and whatever the loss draws.
 
         Raises:
-            InputError: the loss is not a finite number, or its weights are beyond all bounds.
+            InputError: the loss is not one finite number, or its weights are beyond all bounds.
         """
         expert_pairs = self._pairs(expert.observations, expert.actions)
         learner_pairs = self._pairs(*_decisions(learner))
@@ -83,6 +83,11 @@ class Discriminator:
             expert_batch = _draw(expert_pairs, self._settings.batch_size, rng)
             learner_batch = _draw(learner_pairs, self._settings.batch_size, rng)
             loss = self._loss.minimised(self._outputs, expert_batch, learner_batch, rng)
+            if not isinstance(loss, torch.Tensor) or loss.numel() != 1 or not loss.requires_grad:
+                raise InputError(
+                    f"judge.loss '{self._settings.loss}' minimises {_described(loss)}; it must return one number that "
+                    "depends on the judge's outputs, a tensor of shape ()"
+                )
             self._adam.zero_grad()
             loss.backward()
             self._adam.step()
@@ -171,6 +176,12 @@ class Discriminator:
             return float(rewards.mean())
         absorbed = max(self._horizon_decisions - len(rewards), 1)
         return float((rewards.sum() - self._settings.reward_clip * absorbed) / (len(rewards) + absorbed))
+
+
+def _described(loss: object) -> str:
+    if not isinstance(loss, torch.Tensor):
+        return f"{loss!r:.40}"
+    return f"a tensor of shape {tuple(loss.shape)}" + ("" if loss.requires_grad else " that does not depend on them")
 
 
 def _draw(pairs: Tensor, n: int, rng: np.random.Generator) -> Tensor:
