@@ -31,6 +31,12 @@ def test_demand_with_traffic_passes_though_it_lies_in_another_file_than_the_type
     assert told.endswith("types.rou.xml' has no <vehicle>, <flow> or <trip>: traffic is made for the host")
 
 
+def test_a_network_is_no_demand_though_it_has_elements_of_an_additional_file(tmp_path):
+    network = written(tmp_path, '<net><type id="road"/><tlLogic id="light"/></net>', "my.net.xml")
+    with pytest.raises(InputError, match=r"holds <net>, which is no traffic of SUMO's; give it to --network$"):
+        read([network])
+
+
 def test_shipped_demand_passes_and_no_demand_is_no_mistake():
     names = assets.network_names()
     assert [path.name for path in read(names).routes] == [f"{name}.rou.xml" for name in names]

@@ -57,7 +57,7 @@ def test_a_vehicle_is_where_sumo_says_its_front_is(written):
 def test_a_part_of_the_time(written):
     film = fcd.read(written[".parquet"], begin_s=20.0, end_s=30.0)
     assert (film.start_s, film.n_frames) == (20.0, 101)
-    with pytest.raises(InputError, match=re.escape("has no vehicles in it from 100 to 200 s")):
+    with pytest.raises(InputError, match=re.escape("has no vehicles from 100 to 200 s; it is of ")):
         fcd.read(written[".parquet"], begin_s=100.0, end_s=200.0)
 
 

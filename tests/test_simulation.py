@@ -8,7 +8,7 @@ import libsumo
 import numpy as np
 import pytest
 
-from rail_sumo import config
+from rail_sumo import assets, config
 from rail_sumo.errors import InputError
 from rail_sumo.highway.network import road
 from rail_sumo.highway.network.demand import Demand
@@ -107,6 +107,12 @@ def gap_to(scene, name):
 
 
 # What the adapter tells.
+
+
+def test_a_demand_of_another_network_is_told_of_as_such():
+    theirs = Demand(routes=(assets.routes("arterial"),))
+    with pytest.raises(InputError, match=r"is not known\..* Does the demand belong to this network\?$"):
+        Simulation(assets.network("highway3"), demand=theirs, seed=1)
 
 
 def test_a_scene_holds_box_centres_and_directions_in_the_road_frame(script):

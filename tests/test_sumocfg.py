@@ -60,7 +60,10 @@ def test_the_host_enters_well_before_the_end_of_a_configuration(tmp_path, end, e
 def test_all_holds_but_what_must_be_ours_which_is_told_where_it_matters(tmp_path, capfd):
     keys, told = sumocfg.read(written(tmp_path, FULL))
     assert keys == {key: below(tmp_path, value) for key, value in KEYS.items()}
-    assert told == {"fcd-output": str(tmp_path / "fcd.xml"), "end": "9:00:00", "lateral-resolution": "0.8"}
+    usual = {"step-length": "1 s by default"}
+    assert told == {"fcd-output": str(tmp_path / "fcd.xml"), "end": "9:00:00", "lateral-resolution": "0.8"} | usual
+    as_ours = FULL.replace("<processing>", '<processing><step-length value="0.1"/>')
+    assert "step-length" not in sumocfg.read(written(tmp_path, as_ours))[1]
     assert keys.keys() <= config.Config().flat().keys()
     assert sorted(path.name for path in tmp_path.iterdir()) == ["my.sumocfg"]  # no log, no output
     assert capfd.readouterr() == ("", "")

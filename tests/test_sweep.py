@@ -487,9 +487,10 @@ def test_demand_before_or_after_the_period_is_told(world, demand, tmp_path):
     assert not (tmp_path / "late").exists()
     few = {"drivers": ("acc",), "shares": (1.0,), "seeds": 1}
     with pytest.raises(
-        InputError, match=r"no car of the share was on the road in the period; .* depart from 0 s to 200 s: change"
+        InputError, match=r"no vehicle was on the road in the period, from 1500 to .* depart from 0 s to 200 s: change"
     ):
         small(world, tmp_path / "out", **few, warm_up_s=1500.0).drive()
+    assert not list(tmp_path.glob("out/*"))
     small(world, tmp_path / "out", **few).drive()  # what showed nothing is not in the way
     hears = Hears()
     once = {"drivers": ("acc",), "shares": (1.0,), "seeds": 1, "warm_up_s": None, "duration_s": 200.0}

@@ -79,10 +79,16 @@ def read(file: Path, *, begin_s: float = -math.inf, end_s: float = math.inf) -> 
             f"--fcd-output.attributes x,y,angle,speed,type,lane"
         )
     known = np.isfinite(table[[TIME, X, Y, ANGLE, SPEED]].to_numpy(np.float64)).all(axis=1)
-    table = table[known & table[TIME].between(begin_s, end_s)].sort_values(TIME, kind="stable")
+    whole = table[known]
+    table = whole[whole[TIME].between(begin_s, end_s)].sort_values(TIME, kind="stable")
     table = table.drop_duplicates([TIME, ID])
+    if whole.empty:
+        raise InputError(f"'{file.name}' has no vehicles in it")
     if table.empty:
-        raise InputError(f"'{file.name}' has no vehicles in it{_within(begin_s, end_s)}")
+        first_s, last_s = whole[TIME].min(), whole[TIME].max()
+        raise InputError(
+            f"'{file.name}' has no vehicles {_within(begin_s, end_s)}; it is of {first_s:g} to {last_s:g} s"
+        )
     start_s, step_s, moment = _moments(table[TIME].to_numpy(), file)
     every = math.ceil(len(table) / MOST_ROWS)
     table, moment = table[moment % every == 0], moment[moment % every == 0]
@@ -210,4 +216,6 @@ def _vehicle(name: str, kind: str) -> Vehicle:
 
 
 def _within(begin_s: float, end_s: float) -> str:
-    return "" if math.isinf(begin_s) and math.isinf(end_s) else f" from {begin_s:g} to {end_s:g} s"
+    if math.isinf(end_s):
+        return f"from {begin_s:g} s on"
+    return f"until {end_s:g} s" if math.isinf(begin_s) else f"from {begin_s:g} to {end_s:g} s"

@@ -3,6 +3,7 @@
 import json
 import tempfile
 import tomllib
+from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -100,6 +101,8 @@ class ShareRun:
         """Remove what it has written."""
         for file in (self.file, self.edges_file, self.fcd_file):
             file.unlink(missing_ok=True)
+            with suppress(OSError):  # it holds others', or is not there
+                file.parent.rmdir()
 
     @property
     def is_finished(self) -> bool:

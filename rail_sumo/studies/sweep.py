@@ -108,12 +108,7 @@ class Sweep:
         if not table.loc[table["vehicles"] == traffic.DRIVEN, "n_vehicles"].any():
             for one in work:
                 one.discard()
-            first_s, last_s = demand_of(self.config).departs_s
-            until = "on" if math.isinf(last_s) else f"to {last_s:.0f} s"
-            raise InputError(
-                f"no car of the share was on the road in the period; the demand's vehicles depart from {first_s:.0f} s "
-                f"{until}: change traffic.begin_s or --duration"
-            )
+            raise InputError(self._nobody_drives(table, warm_up_s))
         edges = pd.concat([pd.read_parquet(one.edges_file) for one in work], ignore_index=True)
         for note in cautions.of_runs(table, edges):
             notes.append(note)
@@ -256,6 +251,17 @@ class Sweep:
                     f"the last vehicle departs at {last_s:.0f} s, before the period {moment} s{self._at(setting)}: "
                     f"unless they drive round and round, choose a shorter --{option}, or lengthen the demand"
                 )
+
+    def _nobody_drives(self, table: pd.DataFrame, warm_up_s: float) -> str:
+        """Return that no car was driven in any run, and when the demand has cars."""
+        first_s, last_s = demand_of(self.config).departs_s
+        begins_s = self.config.traffic.begin_s + warm_up_s
+        who = "car of the share" if table["n_vehicles"].any() else "vehicle"
+        until = "on" if math.isinf(last_s) else f"to {last_s:.0f} s"
+        return (
+            f"no {who} was on the road in the period, from {begins_s:.0f} to {begins_s + self.duration_s:.0f} s; the "
+            f"demand's vehicles depart from {first_s:.0f} s {until}: change traffic.begin_s or --duration"
+        )
 
     def _idle_keys(self) -> Iterator[str]:
         """Tell which keys do nothing to one of the drivers."""

@@ -14,6 +14,8 @@ from rail_sumo.highway.network.sumo_xml import elements, is_configuration, secon
 TRAFFIC_ELEMENTS = ("vehicle", "flow", "trip")
 """Elements that put somebody on the road."""
 
+NETWORK = "net"
+"""The root of a network, which has elements of an additional file's too."""
 TYPES = ("vType", "vTypeDistribution")
 """Elements that say what vehicles are like."""
 DEFAULT_TYPE, DEFAULT_CLASS = "DEFAULT_VEHTYPE", "passenger"
@@ -145,8 +147,8 @@ def _read(path: Path, state: tuple[int, int]) -> DemandFile:
     for element in elements(path):
         said.note(element)
         root = element.tag  # which ends last
-    if not said.is_known:
-        instead = "give it to --network" if is_configuration(path) else "give a .rou.xml or an .add.xml"
+    if root == NETWORK or not said.is_known:
+        instead = "give it to --network" if root == NETWORK or is_configuration(path) else "give a .rou.xml or .add.xml"
         raise InputError(f"'{path}' holds <{root}>, which is no traffic of SUMO's; {instead}")
     if said.too_dense:
         raise InputError(

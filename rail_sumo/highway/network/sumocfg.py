@@ -25,6 +25,8 @@ INPUT_FILES = (
 """Options that name files to be read."""
 FILE_KEYS = ("network.file", "traffic.routes", "traffic.additional")
 """Those keys of ours whose values are files."""
+FILE_KEYS_OF_DEMAND = frozenset(FILE_KEYS[1:])
+"""Those of them that may put vehicles on the road."""
 
 UNTOLD_TOPICS = frozenset({"report", "gui_only", "traci_server"})
 """Topics of SUMO's options that are about what is shown, and matter to no result."""
@@ -44,6 +46,8 @@ MOVING = frozenset({"step-length", "step-method.ballistic", "lateral-resolution"
 """Those of them by which SUMO's own vehicles drive otherwise."""
 USED = {"step-length": SECONDS_PER_STEP, "lateral-resolution": 0.0, "lanechange.duration": 0.0, "threads": 1.0}
 """What some of them are here; `step-method.ballistic` is false."""
+UNSAID_STEP = "1 s by default"
+"""SUMO's `step-length`, in seconds, where a configuration does not tell. Its traffic drives otherwise by ours."""
 
 
 def read(path: Path) -> tuple[dict[str, Any], dict[str, str]]:
@@ -71,6 +75,8 @@ def read(path: Path) -> tuple[dict[str, Any], dict[str, str]]:
         except ValueError:
             raise InputError(f"'{path}' begins at '{begin}', which is no time") from None
     keys |= _early_entry(keys.get("traffic.begin_s", 0.0), options.get("end", ""))
+    if "step-length" not in options and not FILE_KEYS_OF_DEMAND.isdisjoint(keys):
+        topic_of["step-length"], options["step-length"] = "time", UNSAID_STEP
     left_out = [option for option in options if is_ours(option, topic_of[option])]
     passed_on = {option: value for option, value in options.items() if option not in left_out}
     if passed_on:

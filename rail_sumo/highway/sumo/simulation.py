@@ -103,7 +103,8 @@ class Simulation:
                 raise
             damaged = sumo_xml.first_damaged([net_file, *demand.additional, *demand.routes])
             which = f"'{damaged.name}'" if damaged else "the network or its demand"
-            raise InputError(f"SUMO cannot load {which}: {error}") from None
+            foreign = " Does the demand belong to this network?" if "not known" in str(error) else ""
+            raise InputError(f"SUMO cannot load {which}: {error}{foreign}") from None
         self._is_open = True
         self._closings = Closings(demand.lanes_closed)
         if limit_factor != 1.0:
