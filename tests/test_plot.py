@@ -150,3 +150,17 @@ def test_where_nothing_differs_the_axis_shows_no_hundredths_of_it(level, interva
     curve = np.array([[share, level, interval, interval] for share in (0.0, 0.5, 1.0)])
     figure = plot.with_bands({"rule": curve, "acc": curve}, "share", "contacts")
     assert figure.axes[0].get_ylim() == (max(level - 1.0, 0.0), level + 1.0)
+
+
+def test_a_figure_without_neighbours_shows_its_interval_too():
+    gap = np.full(3, np.nan)
+    curve = np.array([[0.0, 1.0, 0.8, 1.2], [1.0, *gap], [2.0, 3.0, 2.5, 3.5], [3.0, 3.0, 2.5, 3.5]])
+    (lone,) = plot.with_bands({"rule": curve}, "share", "speed").axes[0].collections[1:]
+    assert [segment.tolist() for segment in lone.get_segments()] == [[[0.0, 0.8], [0.0, 1.2]]]
+
+
+def test_the_experts_line_is_in_sight_however_far_from_it_a_figure_is():
+    figure = plot.against_trajectories([40], {"rail": np.array([[7.0, 7.0, 7.0]])}, "overtakes")
+    figure.draw_without_rendering()  # a warning is an error
+    low, high = figure.axes[0].get_ylim()
+    assert low <= 1.0 <= high

@@ -275,7 +275,7 @@ def test_a_sweep_and_a_study_show_their_tables_and_figures(tmp_path):
     assert of_differences.count("<tr>") == 1 + 1  # of all vehicles, not of those driven, nor of those as they are
     assert cells in of_differences
     assert '<td data-value="12.5">12.5<small>11 to 14</small></td>' in of_means
-    assert "<caption>mine. caption</caption>" in page
+    assert "<caption><span>mine. caption</span></caption>" in page
     [of_sweep, of_study] = re.findall(r'<div class="figures">(.*?)</div>', page)
     assert re.findall(r'alt="(.*?)"', of_sweep) == [HEADINGS["flow_vehph"], HEADINGS["co2_g_per_vehkm"]]
     assert re.findall(r'alt="(.*?)"', of_study) == ["speed"]

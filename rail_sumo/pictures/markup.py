@@ -44,7 +44,7 @@ def table(frame: pd.DataFrame, caption: str = "", *, is_sortable: bool = True) -
         for name, cell in zip(frame, first, strict=True)
     )
     rows = "".join(f"<tr>{''.join(row)}</tr>\n" for row in cells)
-    below = f"<caption>{html.escape(caption)}</caption>" if caption else ""
+    below = f"<caption><span>{html.escape(caption)}</span></caption>" if caption else ""
     kind = ' class="sortable"' if is_sortable else ""
     return f'<div class="wide"><table{kind}>{below}<thead><tr>{heads}</tr></thead><tbody>\n{rows}</tbody></table></div>'
 

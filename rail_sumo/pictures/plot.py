@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING, Literal
 
 import numpy as np
 import pandas as pd
+from numpy.typing import NDArray
 from scipy import stats
 
 from rail_sumo.errors import InputError
@@ -98,6 +99,8 @@ def against_trajectories(trajectories: Sequence[int], curves: Mapping[str, Float
     placed = {name: np.column_stack([places, curve]) for name, curve in curves.items()}
     figure = with_bands(placed, "demonstrated trajectories", f"{what}, of the expert's", columns=2)
     (axes,) = figure.axes
+    bottom, top = axes.get_ylim()
+    axes.set_ylim(min(bottom, 1.0), max(top, 1.0))
     axes.axhline(1.0, color="0.4", linewidth=0.8, zorder=0)
     beside = axes.get_yaxis_transform()  # no curve comes there
     axes.text(1.01, 1.0, "expert", transform=beside, verticalalignment="center", color="0.4", fontsize="small")
@@ -127,6 +130,8 @@ def with_bands(curves: Mapping[str, Floats], across: str, what: str, *, columns:
         colour, style, marker = (looks[at % len(looks)] for looks in (_COLOURS, _STYLES, _MARKERS))
         axes.plot(where, mean, style, marker=marker, color=colour, label=name)
         axes.fill_between(where, low, high, color=colour, alpha=0.15, linewidth=0.0)
+        alone = _alone(mean)
+        axes.vlines(where[alone], low[alone], high[alone], color=colour, linewidth=1.0)
     drawn = np.concatenate([curve[:, 1:] for curve in curves.values()])
     leave_room(axes.set_ylim, drawn)
     if not (drawn[:, 0] < 0.0).any():  # of what cannot be negative the interval of few may be
@@ -137,6 +142,12 @@ def with_bands(curves: Mapping[str, Floats], across: str, what: str, *, columns:
     axes.spines[["top", "right"]].set_visible(False)
     figure.legend(loc="outside upper center", ncols=columns, frameon=False)
     return figure
+
+
+def _alone(values: Floats) -> NDArray[np.bool_]:
+    """Return which values have no neighbour, so that neither a line nor a band is drawn to them; NaN is none."""
+    there = np.pad(np.isfinite(values), 1)
+    return there[1:-1] & ~there[:-2] & ~there[2:]
 
 
 def leave_room(set_limits: Callable[[float, float], object], drawn: Floats) -> None:
