@@ -215,7 +215,7 @@ def _rays(columns, vehicles, lateral, n_frames):
 
 def _holding(rng, n_frames):
     changes = rng.integers(0, n_frames, 40)
-    values = rng.choice(len(get_args(Holding)), 41, p=[0.35, 0.1, 0.05, 0.3, 0.02, 0.08, 0.05, 0.05, 0.0, 0.0])
+    values = rng.choice(len(get_args(Holding)), 41, p=[0.35, 0.05, 0.05, 0.05, 0.3, 0.02, 0.08, 0.05, 0.05, 0.0, 0.0])
     return values[np.searchsorted(np.sort(changes), np.arange(n_frames), side="right")].astype(np.int8)
 
 
