@@ -17,8 +17,6 @@ SUMO_SPEED_MODE = 31
 """SUMO's default speed mode."""
 IGNORE_SIGNALS = 15
 """Speed mode: the same, but for signals."""
-FIRM_BRAKING_MPS2 = 3.4
-"""How it is ready to brake for others where it sees them from: less than counts as hard, since mostly nobody comes."""
 SLOW_MPS, LINE_NEAR_M = 5.0, 10.0
 """A vehicle that is slower, and nearer to a line, may have to stop there within a second."""
 
@@ -54,11 +52,10 @@ class Junctions:
         if not self.matter:
             return (), ()
         adas, give_ways = self._adas, self._give_ways()
-        ready_mps2 = max(adas.comfort_braking_mps2, FIRM_BRAKING_MPS2)
         limits: list[Place] = []
         stops: list[Place] = []
         for way in give_ways:
-            (limits if way.is_within else stops).append(way.sight(braking_mps2=ready_mps2))
+            (limits if way.is_within else stops).append(way.sight(braking_mps2=adas.comfort_braking_mps2))
         meets: list[Signal | GiveWay] = [*self._signals(), *give_ways]
         stops += [one.stop for one in meets if one.stops(speed_mps, braking_mps2=adas.emergency_braking_mps2)]
         return tuple(limits), tuple(stops)
