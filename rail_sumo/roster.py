@@ -18,6 +18,8 @@ AS_A_TYPE = f"{drivers.SUMO_AS}TYPE"
 """How SUMO's own driver as one of the demand's types is listed; see `drivers.hands_off`."""
 OF_LEARNING = ("policy", "cloning", "search", "judge", "rail", "gail", "dagger", "ars", "train", "expert")
 """Sections of the configuration that are not about the world."""
+OF_THE_WORLD = ("network.", "traffic.", "episode.", "adas.", "varied.")
+"""What the keys of its other sections begin with, but for the senses, which are a driver's own."""
 MODES = (ARGMAX, SAMPLED)
 """How a learned policy may act, as `runs/first:sampled`; without a colon as it was trained."""
 
@@ -180,6 +182,23 @@ def doubts(policies: Sequence[str], world: Config) -> list[str]:
             "another first, or --set train.expert=shipped"
         )
     return told
+
+
+def other_worlds(policies: Sequence[str], world: Config) -> Iterator[str]:
+    """Tell which runs were trained in another world than that of the first run among them, which is driven in."""
+    runs = {name: RunDirectory(Path(name)).config.flat() for name in _runs(policies)}
+    driven = world.flat()
+    for name, own in itertools.islice(runs.items(), 1, None):
+        first, of_first = next(iter(runs.items()))
+        keys = [key for key in own if key.startswith(OF_THE_WORLD) and own[key] not in (of_first[key], driven[key])]
+        if keys:
+            told = ", ".join(f"{key} = {own[key]}" for key in keys)
+            yield f"the world is that of '{first}', the first run named; '{name}' was trained with {told}"
+
+
+def _runs(policies: Sequence[str]) -> list[str]:
+    names = dict.fromkeys(_name_and_mode(policy)[0] for policy in policies)
+    return [name for name in names if _is_path(name) and not assets.is_expert(Path(name))]
 
 
 def judges_of(policies: Iterable[str]) -> dict[str, RunDirectory]:

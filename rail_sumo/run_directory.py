@@ -293,6 +293,7 @@ def _read_driver(path: Path) -> tuple[PolicyParameters, Tensors, dict[str, Any]]
 def _bytes(tensors: Tensors, about: dict[str, Any]) -> bytes:
     # One metadata key: safetensors writes several in random order, and equal runs must give equal bytes.
     about = about | {"version": own_version()}
+    tensors = {name: np.asarray(tensor, order="C") for name, tensor in tensors.items()}  # safetensors takes it for that
     text = json.dumps(about | {CHECKSUM: _checksum(tensors, about)}, sort_keys=True)
     return safetensors.numpy.save(tensors, metadata={"rail_sumo": text})
 

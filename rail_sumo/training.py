@@ -2,7 +2,7 @@
 
 import itertools
 import time
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import replace
 from pathlib import Path
 
@@ -17,6 +17,7 @@ from rail_sumo.highway.observation import bounds, feature_names
 from rail_sumo.imitation.demonstrations import Demonstrations, recorded_by, recorded_on
 from rail_sumo.learners import Iteration, Practice, learner_of
 from rail_sumo.policy import ARGMAX, LARGEST, SAMPLED, PolicyParameters, Shape, Whitening
+from rail_sumo.records import Trajectory
 from rail_sumo.rollout import SILENT, Observer, WorkerCount
 from rail_sumo.run_directory import PROGRESS_COLUMNS, Checkpoint, Row, RunDirectory, require_new
 
@@ -58,14 +59,13 @@ def learn(
         observer.start(config.train.learner, config.train.n_iterations, done=checkpoint.iteration)
         started = time.perf_counter() - (checkpoint.progress[-1]["seconds"] if checkpoint.progress else 0.0)
         iterations = learner_of(config).iterate(Practice(run, pool), checkpoint, demonstrations)
+        if not isinstance(iterations, Iterable):
+            raise InputError(
+                f"learner '{config.train.learner}' returns {iterations!r:.40}; it has to yield an `Iteration` of "
+                "rail_sumo.learners after every iteration"
+            )
         for iteration in itertools.islice(iterations, config.train.n_iterations - checkpoint.iteration):
-            if not isinstance(iteration, Iteration):
-                raise InputError(
-                    f"learner '{config.train.learner}' yields a {type(iteration).__name__}; it has to yield an "
-                    "`Iteration` of rail_sumo.learners"
-                )
-            _require_drivable(iteration.learned, checkpoint, config.train.learner)
-            _require_numbers(iteration, checkpoint, config.train.learner)
+            _require_whole(iteration, checkpoint, config.train.learner)
             row = _progress(iteration, checkpoint.progress, time.perf_counter() - started)
             checkpoint = Checkpoint(iteration.learned, iteration.memory, (*checkpoint.progress, row))
             run.save(checkpoint)
@@ -198,11 +198,28 @@ def _require_drivable(learned: PolicyParameters, before: Checkpoint, learner: st
         ) from None
 
 
-def _require_numbers(iteration: Iteration, before: Checkpoint, learner: str) -> None:
-    """Raise InputError if an iteration's memory or its figures could not be written."""
+def _require_whole(iteration: object, before: Checkpoint, learner: str) -> None:
+    """Raise InputError if what a learner yields is no iteration, cannot drive or could not be written."""
+    if not isinstance(iteration, Iteration):
+        raise InputError(
+            f"learner '{learner}' yields a {type(iteration).__name__}; it has to yield an `Iteration` of "
+            "rail_sumo.learners"
+        )
     told = f"what learner '{learner}' yields in iteration {before.iteration + 1} cannot be kept"
+    for name, wanted in (("learned", PolicyParameters), ("memory", Mapping), ("driven", list), ("figures", Mapping)):
+        value: object = getattr(iteration, name)
+        if not isinstance(value, wanted):
+            raise InputError(f"{told}: {name} is {value!r:.40}; it is a {wanted.__name__}")
+    for trajectory in iteration.driven:
+        if not isinstance(trajectory, Trajectory):
+            raise InputError(f"{told}: driven holds {trajectory!r:.40}; it is a list of what `practice.drive` returns")
+    if not isinstance(iteration.learned.theta, np.ndarray):
+        raise InputError(f"{told}: theta is a {type(iteration.learned.theta).__name__}; it is a numpy array")
+    _require_drivable(iteration.learned, before, learner)
     for name, value in iteration.memory.items():
-        if not isinstance(value, np.ndarray) or value.dtype.kind not in "biuf":
+        if not isinstance(name, str):
+            raise InputError(f"{told}: memory has the name {name!r:.40}; names are strings")
+        if not isinstance(value, np.ndarray) or value.dtype.kind not in "biuf" or value.dtype.itemsize > 8:
             raise InputError(
                 f"{told}: memory '{name}' is {value!r:.40}; memory is numpy arrays of numbers, such as np.array(3)"
             )

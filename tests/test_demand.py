@@ -313,7 +313,7 @@ def test_types_may_lie_in_any_file_of_a_demand_and_in_a_distribution(tmp_path):
     own = written(tmp_path, f'<additional><include href="van.add.xml"/>{drawn}</additional>', "types.add.xml")
     given = read([written(tmp_path, NAMED)], [own])
     assert not any(is_refused(demand.require_type, given, kind) for kind in ("van", "any", "bus"))
-    with pytest.raises(InputError, match=r"'sumo:car' not found.* \(available: any, bus, van\)"):
+    with pytest.raises(InputError, match=r"'sumo:car' not found.* \(available: DEFAULT_VEHTYPE, any, bus, van\)"):
         demand.require_type(given, "car")
 
 

@@ -158,7 +158,7 @@ def test_data_of_another_network_are_refused(written):
         (b"PAR1 and nothing that follows", "is no floating-car data of SUMO's, or is damaged"),
         (b"<fcd-export><timestep time='0'><vehicle id='a' x='1'", "is no floating-car data of SUMO's, or is damaged"),
         (b"<fcd-export><timestep time='soon'/></fcd-export>", "is no floating-car data of SUMO's, or is damaged"),
-        (b"<net><edge id='a'/></net>", "has no vehicles in it"),
+        (b"<net><edge id='a'/></net>", "is no floating-car data of SUMO's, or is damaged: it has no <timestep>"),
         (b"\x1f\x8b\x08\x00 not gzip", "is no floating-car data of SUMO's, or is damaged"),
         (b"\x7fELF\x02\x01\x01\x00\xd0\xff", "is no floating-car data of SUMO's"),
         (b"a,b\n1,2\n", "it has no timestep_time, vehicle_id, vehicle_x, vehicle_y, vehicle_angle, vehicle_speed;"),

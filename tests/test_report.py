@@ -319,7 +319,9 @@ def test_that_all_drove_alike_is_told_and_not_that_one_drove_its_episodes_alike(
     assert line.startswith("in each episode all of them are as fast as each other, to within 1 %: one may have learned")
     another = rows("other", [102.5, 60.0])
     (line,) = report.alike(report.episodes(alike + another + rows("sumo", [80.0, 60.0]) + rows("keep", [100.2, 60.1])))
-    assert line.startswith("in each episode rule, mine, keep are as fast as each other")  # though two others do not
+    assert line.startswith(
+        "in each episode 'rule', 'mine', 'keep' are as fast as each other"
+    )  # though two others do not
     assert not report.alike(report.episodes(alike + another))  # two of three may have learned the same
     apart = rows("rule", [100.0, 60.0]) + rows("mine", [101.5, 60.0])
     assert report.alike(report.episodes(apart)) == report.alike(report.episodes(rows("rule", [100.0]))) == []

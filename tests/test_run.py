@@ -957,6 +957,27 @@ def remembers(memory):
         yield Iteration(learned, memory(learned), practice.drive([learned], 1), {})
     return iterate
 
+def yields(**wrong):
+    def iterate(practice, checkpoint, demonstrations):
+        start = checkpoint.learned
+        yield replace(Iteration(start, {}, practice.drive([start], 1), {}), **wrong)
+    return Learner(iterate, iterations=1, samples=False)
+
+NO_MEMORY, NO_DRIVES, NAMED_BY_A_NUMBER = yields(memory=None), yields(driven=None), yields(memory={1: np.ones(2)})
+TOO_WIDE = yields(memory={"n": np.ones(2, np.longdouble)})
+WORDS_FOR_DRIVES = yields(driven=["fast"])
+LIST = Learner(with_theta(lambda theta: list(theta)), iterations=1, samples=False)
+RETURNS = Learner(lambda practice, checkpoint, demonstrations: None, iterations=1, samples=False)
+
+def strided(practice, checkpoint, demonstrations):
+    theta = np.column_stack([checkpoint.learned.theta + 0.01, checkpoint.learned.theta])[:, 0]
+    memory = {"theta": theta / 2, "turned": np.asfortranarray([[0, 1, 2], [3, 4, 5]]), "every": np.arange(10)[::2]}
+    memory["one"] = np.array(7.0)
+    learned = replace(checkpoint.learned, theta=theta)
+    yield Iteration(learned, memory, practice.drive([learned], 1), {})
+
+STRIDED = Learner(strided, iterations=1, samples=False)
+
 HALF, PLAIN_NUMBER = remembers(lambda new: {"theta": new.theta / 2}), remembers(lambda new: {"n": 3})
 WORDS = remembers(lambda new: {"n": np.array(["a"])})
 
@@ -1017,6 +1038,12 @@ def test_what_a_learner_yields_that_cannot_drive_is_refused_at_once(small, drive
     [
         ("PLAIN_NUMBER", r"memory 'n' is 3; memory is numpy arrays of numbers, such as np\.array\(3\)"),
         ("WORDS", r"memory 'n' is array\(\['a'\], dtype='<U1'\); memory is numpy arrays of numbers, such as .*"),
+        ("NO_MEMORY", "memory is None; it is a Mapping"),
+        ("NO_DRIVES", "driven is None; it is a list"),
+        ("WORDS_FOR_DRIVES", "driven holds 'fast'; it is a list of what `practice.drive` returns"),
+        ("NAMED_BY_A_NUMBER", "memory has the name 1; names are strings"),
+        ("TOO_WIDE", r"memory 'n' is array\(\[1., 1.\], dtype=.*; memory is numpy arrays of numbers, such as .*"),
+        ("LIST", "theta is a list; it is a numpy array"),
         ("WORD_FOR_A_FIGURE", "figure 'mean_return' is 'high'; figures are numbers"),
     ],
 )
@@ -1029,6 +1056,35 @@ def test_what_a_learner_yields_that_cannot_be_kept_is_refused_at_once(small, dri
     ):
         training.learn(world, tmp_path / "run", seed=1)
     assert RunDirectory(tmp_path / "run").checkpoint().iteration == 0
+
+
+def test_arrays_of_any_order_in_memory_are_kept_as_they_are(small, driven, tmp_path, monkeypatch):
+    (tmp_path / "own_learners.py").write_text(OWN_LEARNERS)
+    monkeypatch.syspath_prepend(tmp_path)
+    world = small.changed(train={"learner": "own_learners:STRIDED", "iterations": 1})
+    run = training.learn(world, tmp_path / "run", seed=1)
+    kept = RunDirectory(run.path).checkpoint()
+    assert (kept.learned.theta == run.clone.theta + 0.01).all()
+    assert (kept.memory["theta"] == kept.learned.theta / 2).all()
+    assert kept.memory["turned"].tolist() == [[0, 1, 2], [3, 4, 5]]
+    assert kept.memory["every"].tolist() == [0, 2, 4, 6, 8]
+    assert (kept.memory["one"].shape, float(kept.memory["one"])) == ((), 7.0)
+    none = small.changed(train={"learner": "own_learners:RETURNS", "iterations": 1})
+    with pytest.raises(
+        InputError, match=r"^learner 'own_learners:RETURNS' returns None; it has to yield an `Iteration`"
+    ):
+        training.learn(none, tmp_path / "none", seed=1)
+
+
+def test_runs_of_other_worlds_than_that_of_the_first_are_told_of(trained, small, tmp_path):
+    assert not list(roster.other_worlds([str(trained), "rule"], small))
+    other = shutil.copytree(trained, tmp_path / "other")
+    text = (other / "config.toml").read_text()
+    vehicles = small.traffic.vehicles
+    (other / "config.toml").write_text(text.replace(f"vehicles = {vehicles}", f"vehicles = {vehicles + 3}"))
+    (told,) = roster.other_worlds([str(trained), str(other)], small)
+    assert told.endswith(f"'{other}' was trained with traffic.vehicles = {vehicles + 3}")
+    assert not list(roster.other_worlds([str(trained), str(other)], small.changed(traffic={"vehicles": vehicles + 3})))
 
 
 def test_a_learners_memory_may_have_any_names_beside_its_policys(small, driven, tmp_path, monkeypatch):

@@ -234,6 +234,14 @@ def test_a_road_that_locks_with_some_seeds_is_told_of():
     assert not list(cautions.locks(table[table["teleports"] == 0]))
 
 
+def test_runs_in_which_vehicles_touch_are_told_of():
+    about = {"vehicles": "all", "setting": "", "driver": "rule", "share": 1.0}
+    table = pd.DataFrame([about | {"seed": seed, "collisions": number} for seed, number in enumerate((1, 0, 2))])
+    (note,) = cautions.contacts(table)
+    assert note.startswith("vehicles touched (column collisions), with the seeds rule at 100% 0, 2; ")
+    assert not list(cautions.contacts(table[table["collisions"] == 0]))
+
+
 def test_an_edge_that_traffic_no_longer_comes_to_is_told_of():
     def rows(driver, share, seed, **counts):
         about = {"driver": driver, "setting": "", "share": share, "seed": seed, "vehicles": "others", "type": "car"}
@@ -533,7 +541,7 @@ def test_what_cannot_be_swept_is_refused_before_anybody_drives(monkeypatch, worl
 
 def test_a_demand_without_cars_is_refused(demand, world, tmp_path):
     demand.write_text(demand.read_text().replace('id="car" speedFactor', 'id="car" vClass="bus" speedFactor'))
-    with pytest.raises(InputError, match="no car of the share was on the road in the period"):
+    with pytest.raises(InputError, match=r"^only cars are driven, and the demand has none; give one with vehicles of"):
         small(world, tmp_path / "out", drivers=("acc",), shares=(1.0,), seeds=1).drive()
 
 

@@ -226,7 +226,7 @@ def _found(
     world = roster.world(policies, overrides, config=config_path)
     who = {policy: roster.find_driver(policy, world) for policy in policies}
     learned = roster.judges_of(policies).values()
-    unheeded = roster.unheeded_senses(who, world) if config_path else ()
+    unheeded = roster.unheeded_senses(who, world) if config_path else roster.other_worlds(policies, world)
     doubts = [*unheeded, *roster.doubts(policies, world), *training.changed_since(learned, world)]
     for line in doubts:
         tell(line)

@@ -186,6 +186,8 @@ def _of_xml(file: Path) -> pd.DataFrame:
     reader = _Reader()
     with opened(file) as stream:
         xml.sax.parse(stream, reader)
+    if not reader.has_times:
+        raise ValueError("it has no <timestep>")
     return pd.DataFrame(reader.columns)
 
 
@@ -196,10 +198,11 @@ class _Reader(xml.sax.ContentHandler):
         super().__init__()
         self.columns: dict[str, list[Any]] = {name: [] for name in (*NEEDED, TYPE)}
         self._time_s = math.nan
+        self.has_times = False
 
     def startElement(self, name: str, attrs: Any) -> None:
         if name == "timestep":
-            self._time_s = float(attrs["time"])
+            self._time_s, self.has_times = float(attrs["time"]), True
         elif name == "vehicle" and "x" in attrs:
             row = {TIME: self._time_s, ID: attrs["id"], TYPE: attrs.get("type", "")}
             row |= {column: float(attrs.get(column.removeprefix("vehicle_"), "nan")) for column in (X, Y, ANGLE, SPEED)}

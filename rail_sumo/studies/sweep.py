@@ -143,6 +143,8 @@ class Sweep:
                 hint = f" (for {share:g} %, write {share / 100:g})" if 1.0 < share <= 100.0 else ""
                 raise InputError(f"a share is a number from 0 to 1; got {share:g}{hint}")
         road.require_readable(self.config.network.file)
+        if not demand_of(self.config).may_have_cars:
+            raise InputError("only cars are driven, and the demand has none; give one with vehicles of a car's class")
         last_s, begin_s = demand_of(self.config).departs_s[1], self.config.traffic.begin_s
         if begin_s > last_s and self.key != "traffic.begin_s":
             raise InputError(

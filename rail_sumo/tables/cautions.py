@@ -26,6 +26,7 @@ def of_runs(table: pd.DataFrame, edges: pd.DataFrame) -> Iterator[str]:
     yield from backlog(table)
     yield from growth(table)
     yield from locks(table)
+    yield from contacts(table)
     yield from breakdowns(table)
     yield from emptied(edges)
 
@@ -61,13 +62,19 @@ def locks(table: pd.DataFrame) -> Iterator[str]:
     """Tell where SUMO took vehicles off the road that had stood for too long, as where it is locked."""
     locked = shares.of_all_vehicles(table).query("teleports > 0")
     if len(locked):
-        told = [
-            f"{shares.called(driver, setting, share)} {', '.join(map(str, of_arm['seed']))}"
-            for (driver, setting, share), of_arm in locked.groupby(shares.ARM, sort=False)
-        ]
         yield (
             f"SUMO took vehicles off the road that had stood too long (column teleports), with the seeds "
-            f"{_listed(told)}: the road may be locked there, and means are of unlike runs"
+            f"{_seeds(locked)}: the road may be locked there, and means are of unlike runs"
+        )
+
+
+def contacts(table: pd.DataFrame) -> Iterator[str]:
+    """Tell in which runs vehicles touched, which a mean over seeds does not."""
+    touched = shares.of_all_vehicles(table).query("collisions > 0")
+    if len(touched):
+        yield (
+            f"vehicles touched (column collisions), with the seeds {_seeds(touched)}; they may be the same two at the "
+            "same time in several runs, which are no independent ones"
         )
 
 
@@ -107,6 +114,16 @@ def emptied(edges: pd.DataFrame) -> Iterator[str]:
             f"far fewer vehicles come to some edges than at share 0 (edges.parquet): {_listed(told)}: they may stand "
             "before, or have not come so far"
         )
+
+
+def _seeds(runs: pd.DataFrame) -> str:
+    """Return the seeds of some runs, by driver and share."""
+    return _listed(
+        [
+            f"{shares.called(driver, setting, share)} {', '.join(map(str, of_arm['seed']))}"
+            for (driver, setting, share), of_arm in runs.groupby(shares.ARM, sort=False)
+        ]
+    )
 
 
 def _listed(told: Sequence[str]) -> str:

@@ -276,7 +276,7 @@ def alike(episodes: pd.DataFrame) -> list[str]:
     most = max((group for group in groups if _are_close(speeds[group])), key=len, default=[])
     if len(most) < min(len(policies), FEWEST_ALIKE):
         return []
-    who = "all of them" if len(most) == len(policies) else ", ".join(most)
+    who = "all of them" if len(most) == len(policies) else ", ".join(f"'{name}'" for name in most)
     return [
         f"in each episode {who} are as fast as each other, to within {100 * ALIKE:g} %: one may have learned from "
         "another, or the road or the host's own vehicle leave no choice, see rail-sumo network check"

@@ -297,9 +297,14 @@ def _std_within(samples: pd.DataFrame) -> float:
 
 
 def _trips(file: Path) -> pd.DataFrame:
-    """Return SUMO's `tripinfo`; of who has not departed or arrived the time is negative."""
+    """Return SUMO's `tripinfo`; of who has not departed or arrived the time is negative.
+
+    Not of who was to depart just when the run ended, and has not waited for room.
+    """
     rows = []
     for trip in _elements(file, "tripinfo"):
+        if float(trip.get("depart", "")) < 0.0 and float(trip.get("departDelay", "")) <= 0.0:
+            continue
         emissions = trip.find("emissions")
         rows.append({
             "id": trip.get("id"),

@@ -200,6 +200,7 @@ test("who is slower than the set speed does not drive at it", () => {
   assert.equal(holdingSentence("set speed", 26, goals), "slows down to the set speed");
   assert.equal(holdingSentence("limit", 18, goals), "speeds up to the speed limit");
   assert.equal(holdingSentence("limit", 20, goals), "keeps to the speed limit");
+  assert.equal(holdingSentence("vehicle ahead", 0, goals), "stands behind the vehicle ahead");
   assert.equal(holdingSentence("limit ahead", 15, goals), "slows down for a lower speed limit ahead");
   assert.equal(holdingSentence("vehicle ahead", 3, goals), "follows the vehicle ahead");
 });

@@ -183,6 +183,8 @@ def require_type(demand: Demand, kind: str) -> None:
     if not UNREAD_OPTIONS.isdisjoint(demand.options):
         return
     known = frozenset[str]().union(*(one.types for one in demand.contents))
+    if demand.has_traffic:
+        known |= {demand_file.DEFAULT_TYPE}
     if not known:
         raise InputError(
             f"driver 'sumo:{kind}' is a vehicle of your demand's, which names no types; name its files with --routes"

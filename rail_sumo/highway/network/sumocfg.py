@@ -44,8 +44,12 @@ OUR_OPTIONS = re.compile(
 """Options of whatever topic that are ours, or that a configuration has keys of its own for."""
 MOVING = frozenset({"step-length", "step-method.ballistic", "lateral-resolution", "lanechange.duration"})
 """Those of them by which SUMO's own vehicles drive otherwise."""
-USED = {"step-length": SECONDS_PER_STEP, "lateral-resolution": 0.0, "lanechange.duration": 0.0, "threads": 1.0}
-"""What some of them are here; `step-method.ballistic` is false."""
+USED = {
+    **{"step-length": SECONDS_PER_STEP, "lateral-resolution": 0.0, "lanechange.duration": 0.0, "threads": 1.0},
+    **{"collision.mingap-factor": 0.0, "collision.check-junctions": "true"},
+    **{"step-method.ballistic": "false", "random": "false"},
+}
+"""What some of them are here."""
 UNSAID_STEP = "1 s by default"
 """SUMO's `step-length`, in seconds, where a configuration does not tell. Its traffic drives otherwise by ours."""
 
@@ -87,11 +91,10 @@ def read(path: Path) -> tuple[dict[str, Any], dict[str, str]]:
 
 def _is_as_ours(option: str, value: str) -> bool:
     """Whether an option that is left out says what is done all the same."""
-    if option == "step-method.ballistic":
-        return value == "false"
+    used = USED.get(option)
     try:
-        return seconds(value) == USED[option]
-    except (KeyError, ValueError):
+        return value == used or seconds(value) == used
+    except ValueError:
         return False
 
 

@@ -1,6 +1,7 @@
 // What the page says in words. Numbers come with their units.
 
 export const KMH = 3.6;
+const STANDING_MPS = 0.1; // as SUMO counts
 const STEADY_MPS = 0.3; // a speed that is no farther from where it is to be is there
 
 export const ACTION_LABELS = { keep: "keep", accelerate: "accelerate", decelerate: "decelerate", left: "left", right: "right" };
@@ -73,6 +74,7 @@ export function outcome(decision) {
 /** What the host's speed follows, and whether it is there yet. */
 export function holdingSentence(holding, speedMps, { setMps, limitMps }) {
   const [goal, name] = { "set speed": [setMps, "set speed"], limit: [Math.min(setMps, limitMps), "speed limit"] }[holding] ?? [];
+  if (holding === "vehicle ahead" && speedMps < STANDING_MPS) return "stands behind the vehicle ahead";
   if (speedMps < goal - STEADY_MPS) return `speeds up to the ${name}`;
   if (speedMps > goal + STEADY_MPS) return `slows down to the ${name}`;
   return HOLDINGS[holding] ?? holding;
