@@ -78,6 +78,9 @@ def learning_curves(runs: Sequence[Path], against: Against = "steps") -> "Figure
         axes.spines[["top", "right"]].set_visible(False)
     for axes in figure.axes[2:]:
         axes.set_xlabel(label)
+    several = any(len(runs) > 1 for runs in groups.values())
+    told = f"Rollouts in training traffic; running means over {SMOOTHED_OVER} iterations"
+    figure.supxlabel(f"{told}; bands: 95 % of the mean over runs" if several else told, fontsize="small", color="0.4")
     handles = [figure.axes[0].plot([], [], color=colour)[0] for colour in colours]
     counts = [f"{at.name} ({len(runs)} runs)" if len(runs) > 1 else at.name for at, runs in groups.items()]
     figure.legend(handles, counts, loc="outside upper center", ncols=min(len(counts), 3), frameon=False)
