@@ -763,7 +763,8 @@ def test_sumos_driver_may_be_one_of_the_demands_types(make, tmp_path, kind, leng
 
 def test_a_type_that_the_demand_has_not_is_refused_in_one_line(make, tmp_path):
     (tmp_path / "demand.rou.xml").write_text(TYPES)
-    message = "vehicle type 'slwo' of driver 'sumo:slwo' not found; did you mean 'slow'? (available: DEFAULT_VEHTYPE, hasty, slow)"
+    available = "(available: DEFAULT_VEHTYPE, hasty, slow)"
+    message = f"vehicle type 'slwo' of driver 'sumo:slwo' not found; did you mean 'slow'? {available}"
     with pytest.raises(InputError, match=f"^{re.escape(message)}$"):
         make(world(traffic={"routes": [str(tmp_path / "demand.rou.xml")]}), hands_off="slwo")
     with pytest.raises(InputError, match=r"^driver 'sumo:slow' is a vehicle of your demand's, which names no types; "):
