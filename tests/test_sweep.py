@@ -234,6 +234,20 @@ def test_a_road_that_locks_with_some_seeds_is_told_of():
     assert not list(cautions.locks(table[table["teleports"] == 0]))
 
 
+def test_a_run_that_begins_with_more_vehicles_than_with_other_seeds_is_told_of():
+    def row(driver, share, seed, begins):
+        counts = {"unfinished": begins + 6, "inserted": 376, "arrived": 370}
+        return {"vehicles": "all", "setting": "", "driver": driver, "share": share, "seed": seed} | counts
+
+    as_they_are = [row("sumo", 0.0, seed, begins) for seed, begins in enumerate((262, 240, 261))]
+    driven = [row("rule", 0.25, seed, begins) for seed, begins in enumerate((276, 241, 260))]
+    (note,) = cautions.full_starts(pd.DataFrame([*as_they_are, *driven]))
+    assert "beside share 0: rule at 25% seed 0, 276 vehicles: they may have stood in the warm-up" in note
+    alike = [row("rule", 0.25, seed, begins) for seed, begins in enumerate((282, 260, 280))]  # as their traffic is
+    assert not list(cautions.full_starts(pd.DataFrame([*as_they_are, *alike])))
+    assert not list(cautions.full_starts(pd.DataFrame([*as_they_are[:2], *driven[:2]])))  # which of two is the fuller?
+
+
 def test_runs_in_which_vehicles_touch_are_told_of():
     about = {"vehicles": "all", "setting": "", "driver": "rule", "share": 1.0}
     table = pd.DataFrame([about | {"seed": seed, "collisions": number} for seed, number in enumerate((1, 0, 2))])

@@ -10,6 +10,8 @@ MOST_TOLD = 4
 """A note names so many groups of runs at most."""
 GROWN, GROWN_BY = 10.0, 0.2
 """A road fills up where there are so many vehicles more at the end of the period, and by this share of those before."""
+FULLER, FULLER_BY = 10.0, 0.04
+"""A run begins fuller than others of its driver and share by so many vehicles, and by this share of them."""
 BROKEN_DOWN = 0.5
 """A run has broken down if its mean speed is less than this share of the median of its other seeds'."""
 FEWER, AT_LEAST = 0.5, 20
@@ -25,6 +27,7 @@ def of_runs(table: pd.DataFrame, edges: pd.DataFrame) -> Iterator[str]:
     """
     yield from backlog(table)
     yield from growth(table)
+    yield from full_starts(table)
     yield from locks(table)
     yield from contacts(table)
     yield from breakdowns(table)
@@ -55,6 +58,29 @@ def growth(table: pd.DataFrame) -> Iterator[str]:
         yield (
             f"the road fills up in the period, by vehicles in the mean over seeds: {_listed(told)}: figures depend on "
             "when it begins and ends"
+        )
+
+
+def full_starts(table: pd.DataFrame) -> Iterator[str]:
+    """Tell which runs begin with more vehicles on the road, beside share 0, than with other seeds."""
+    of_all = shares.of_all_vehicles(table)
+    begins = (of_all["unfinished"] - of_all["inserted"] + of_all["arrived"]).rename("begins")
+    runs = of_all[[*shares.ARM, "seed"]].join(begins)
+    as_they_are = runs[runs["driver"] == shares.AS_THEY_ARE]
+    zero = as_they_are.drop_duplicates(["setting", "seed"]).set_index(["setting", "seed"])["begins"]
+    told = []
+    for arm, of_arm in runs[runs["driver"] != shares.AS_THEY_ARE].groupby(shares.ARM, sort=False):
+        more = of_arm["begins"] - zero.reindex(pd.MultiIndex.from_frame(of_arm[["setting", "seed"]])).to_numpy()
+        beyond = more - more.median()
+        full = of_arm[(beyond >= FULLER) & (beyond >= FULLER_BY * of_arm["begins"])] if len(of_arm) > 2 else of_arm[:0]
+        told += [
+            f"{shares.called(*arm)} seed {seed}, {begun} vehicles"
+            for seed, begun in full[["seed", "begins"]].itertuples(index=False)
+        ]
+    if told:
+        yield (
+            f"the period begins with more vehicles on the road than with other seeds, beside share 0: {_listed(told)}: "
+            "they may have stood in the warm-up, and what dissolves is counted as flow; sweep --fcd shows it"
         )
 
 
