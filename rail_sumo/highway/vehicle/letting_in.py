@@ -1,6 +1,7 @@
 """How a driven vehicle gets others to make room for it in a lane beside, and makes room in its own, in SUMO."""
 
 import math
+from contextlib import suppress
 
 import libsumo
 
@@ -15,6 +16,10 @@ COMMANDED_ONLY = 256
 """Lane-change mode of the host: no change of its own accord; the ADAS layer is the gate, SUMO only avoids overlap."""
 ASKS, ASSERTIVE, NOT_ASSERTIVE = 257, "laneChangeModel.lcAssertive", "1e-9"
 """The same, but it means to leave a lane that does not lead on; and how little it then insists on it."""
+STRATEGIC_WISH, NO_WISH = "laneChangeModel.lcStrategic", "-1"
+"""How much it wants to leave a lane that does not lead on; and that it does not."""
+SLOW_MPS = 1.0
+"""A host that is slower waits at the end of its lane, or in a queue."""
 INDICATOR = "rail_sumo.indicator"
 """The parameter of a host's vehicle by which others know to which side it must leave its lane, as by its indicator."""
 WANTS, STRATEGIC = {LEFT: 2, RIGHT: 4}, 8
@@ -39,6 +44,7 @@ class LettingIn:
         self.asks = False
         """Whether SUMO's drivers in a lane beside are asked to make room; SUMO may change lanes for it meanwhile."""
         self._assertive = ""  # as it was before it asked
+        self._strategic = ""  # how much it wants to leave its lane, as it was, while it lets somebody pass
         self._indicates = 0  # to which side it must leave its lane
         self._in_from: list[Side] = []  # on which sides somebody must come into its lane
 
@@ -51,6 +57,7 @@ class LettingIn:
             Whether `asks` has changed.
         """
         self._indicate(side)
+        self._let_pass(side, speed_mps)
         return (side != 0 or self.asks) and self._ask_sumo(side, speed_mps)
 
     def _indicate(self, side: int) -> None:
@@ -58,6 +65,20 @@ class LettingIn:
         if side != self._indicates:
             self._indicates = side
             libsumo.vehicle.setParameter(self._name, INDICATOR, str(side))
+
+    def _let_pass(self, side: int, speed_mps: float) -> None:
+        """Where the host stands, have who stands so near behind it that it cannot move in front drive on past it.
+
+        SUMO's drivers stop for a vehicle that must leave its lane, at any distance behind it. So the host is set not to
+        want to until that one is past; the next may let it in.
+        """
+        passes = side != 0 and speed_mps < SLOW_MPS and self._beside.gaps(side).behind_m < self._adas.standstill_gap_m
+        if passes != bool(self._strategic):
+            vehicle = libsumo.vehicle
+            with suppress(libsumo.TraCIException):  # its lane-change model, a demand's default, knows no such thing
+                before = self._strategic or vehicle.getParameter(self._name, STRATEGIC_WISH)
+                vehicle.setParameter(self._name, STRATEGIC_WISH, NO_WISH if passes else before)
+                self._strategic = before if passes else ""
 
     def _ask_sumo(self, side: int, speed_mps: float) -> bool:
         """Have SUMO's drivers in the lane on a side let the host in, as they do each other; 0: no longer.
