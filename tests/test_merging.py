@@ -1,11 +1,15 @@
 """From an acceleration lane into dense traffic, in SUMO."""
 
+import libsumo
 import numpy as np
 import pytest
 from driving import KEEP, Watched, always, drive
 
+from rail_sumo.config import Adas
 from rail_sumo.config_file import validate
 from rail_sumo.highway.network import road
+from rail_sumo.highway.sumo.simulation import HOST, Simulation
+from rail_sumo.records import Command
 
 DENSE = """<routes>
     <vType id="car" sigma="0" speedFactor="1"/>
@@ -38,6 +42,37 @@ def test_the_host_is_let_in_without_standing_and_makes_no_more_than_one_other_br
     changes = [(entry.get("from"), entry.get("to")) for entry in outputs("lanechange") if entry.get("id") == name]
     assert changes == [("merge1_0", "merge1_1")], "SUMO moves the host only where the layer does"
     assert not any(touching(scene) for scene in Watched.latest.scenes)
+
+
+@pytest.mark.parametrize(("gap_m", "lets_pass"), [(1.6, True), (2.4, False)])
+def test_a_waiting_host_wants_nothing_of_who_stands_too_near_behind_until_that_one_is_past(gap_m, lets_pass):
+    """SUMO's drivers stop for whoever wants to leave its lane: the two stood on i24, a motorway of others, for 85 s."""
+
+    def wants():
+        return float(libsumo.vehicle.getParameter(HOST, "laneChangeModel.lcStrategic")) > 0.0
+
+    course = road.load("onramp", ("on1", "merge1", "main2"))
+    with Simulation(course.net_file, seed=1) as simulation:
+        simulation.lay_course(course, Adas(), sees_m=300.0)
+        front_m = course.edges[1].length_m - 30.0
+        simulation.add_host(["merge1", "main2"], lane=0, front_m=front_m, speed_mps=0.0)
+        length_m = libsumo.vehicletype.getLength("rail_sumo_host")
+        libsumo.route.add("main", ["merge1", "main2"])
+        libsumo.vehicle.add(
+            "near", "main", departLane="1", departPos=f"{front_m - length_m - gap_m:.2f}", departSpeed="0"
+        )
+        simulation.wait_for_host()
+        libsumo.vehicle.setSpeed("near", 0.0)
+        wanted = []
+        for _ in range(10):
+            simulation.run(Command(0.0, asks=1))
+            wanted.append(wants())
+        assert wanted == [not lets_pass] * 10
+        libsumo.vehicle.setSpeed("near", -1.0)
+        for _ in range(100):
+            simulation.run(Command(0.0, asks=1))
+        assert libsumo.vehicle.getRoadID("near") == "main2"
+        assert wants()
 
 
 def test_there_is_such_a_lane():
