@@ -75,24 +75,6 @@ def test_a_waiting_host_wants_nothing_of_who_stands_too_near_behind_until_that_o
         assert wants()
 
 
-@pytest.mark.parametrize(("indicates", "must_come"), [("", True), ("1", True), ("0", False), ("-1", False)])
-def test_of_who_is_driven_the_indicator_tells_who_must_come_and_not_what_sumo_would_do_with_it(indicates, must_come):
-    """On another project's ramp driven cars stood on an open lane, beside driven ones that were in the right lane."""
-    course = road.load("onramp", ("on1", "merge1", "main2"))
-    with Simulation(course.net_file, seed=1) as simulation:
-        host = simulation.lay_course(course, Adas(), sees_m=300.0)
-        simulation.add_host(["merge1", "main2"], lane=1, front_m=60.0, speed_mps=10.0)
-        libsumo.route.add("main", ["merge1", "main2"])
-        libsumo.vehicle.add("other", "main", departLane="0", departPos="90", departSpeed="10")
-        simulation.wait_for_host()
-        libsumo.vehicle.setLaneChangeMode("other", 256)  # it wants to, since its lane ends, and never does
-        libsumo.vehicle.setParameter("other", "rail_sumo.indicator", indicates)
-        for _ in range(3):
-            simulation.run(Command(10.0))
-        host.heed()
-        assert (simulation.host._letting_in.allowed_mps(10.0) < np.inf) == must_come
-
-
 def test_there_is_such_a_lane():
     merge = road.load("onramp", ("on1", "merge1", "main2")).edges[1]
     assert (merge.n_lanes, merge.leads_on_m[0]) == (4, 0.0)

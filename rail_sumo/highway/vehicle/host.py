@@ -136,7 +136,6 @@ class Host:
         If it is faster, it stays so: SUMO would brake it hard, and it leaves the road soon.
         """
         self._ask(0)
-        self._letting_in.no_longer_indicate()
         self.abilities.heed_closings(True)
         vehicle, speed_mps = libsumo.vehicle, libsumo.vehicle.getSpeed(self.name)
         vehicle.setType(self.name, kind)

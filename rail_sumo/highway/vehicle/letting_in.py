@@ -21,8 +21,7 @@ STRATEGIC_WISH, NO_WISH = "laneChangeModel.lcStrategic", "-1"
 SLOW_MPS = 1.0
 """A host that is slower waits at the end of its lane, or in a queue."""
 INDICATOR = "rail_sumo.indicator"
-"""The parameter of a host's vehicle by which others know to which side it must leave its lane, as by its indicator; 0:
-to none. What SUMO's lane changer would do with it does not count then: it may take another lane that leads on."""
+"""The parameter of a host's vehicle by which others know to which side it must leave its lane, as by its indicator."""
 WANTS, STRATEGIC = {LEFT: 2, RIGHT: 4}, 8
 """SUMO's bits of what a vehicle's lane changer means to do: to change to a side; and that its lane does not lead on."""
 UNSURE_MPS = 0.5
@@ -46,7 +45,7 @@ class LettingIn:
         """Whether SUMO's drivers in a lane beside are asked to make room; SUMO may change lanes for it meanwhile."""
         self._assertive = ""  # as it was before it asked
         self._strategic = ""  # how much it wants to leave its lane, as it was, while it lets somebody pass
-        self._indicates: int | None = None  # to which side it must leave its lane
+        self._indicates = 0  # to which side it must leave its lane
         self._in_from: list[Side] = []  # on which sides somebody must come into its lane
 
     # Others let it in.
@@ -66,11 +65,6 @@ class LettingIn:
         if side != self._indicates:
             self._indicates = side
             libsumo.vehicle.setParameter(self._name, INDICATOR, str(side))
-
-    def no_longer_indicate(self) -> None:
-        """Leave it to SUMO's lane changer to tell what it means to do: it is no longer driven."""
-        self._indicates = None
-        libsumo.vehicle.setParameter(self._name, INDICATOR, "")
 
     def _let_pass(self, side: int, speed_mps: float) -> None:
         """Where the host stands, have who stands so near behind it that it cannot move in front drive on past it.
@@ -159,10 +153,9 @@ class LettingIn:
         name, gap_m = found
         towards = other(side)
         must = WANTS[towards] | STRATEGIC
-        indicates = vehicle.getParameter(name, INDICATOR)
-        if indicates == str(towards):
+        if vehicle.getParameter(name, INDICATOR) == str(towards):
             before_m = STANDS_BEFORE_M[towards]
-        elif not indicates and _means(name, towards) & must == must:
+        elif _means(name, towards) & must == must:
             before_m = 0.0
         else:
             return None
