@@ -186,7 +186,8 @@ def doubts(policies: Sequence[str], world: Config) -> list[str]:
 
 def other_worlds(policies: Sequence[str], world: Config) -> Iterator[str]:
     """Tell which runs were trained in another world than that of the first run among them, which is driven in."""
-    runs = {name: RunDirectory(Path(name)).config.flat() for name in _runs(policies)}
+    ours = (policy for policy in policies if _is_path(_name_and_mode(policy)[0]))
+    runs = {str(run.path): run.config.flat() for run in judges_of(ours).values()}
     driven = world.flat()
     for name, own in itertools.islice(runs.items(), 1, None):
         first, of_first = next(iter(runs.items()))
@@ -194,11 +195,6 @@ def other_worlds(policies: Sequence[str], world: Config) -> Iterator[str]:
         if keys:
             told = ", ".join(f"{key} = {own[key]}" for key in keys)
             yield f"the world is that of '{first}', the first run named; '{name}' was trained with {told}"
-
-
-def _runs(policies: Sequence[str]) -> list[str]:
-    names = dict.fromkeys(_name_and_mode(policy)[0] for policy in policies)
-    return [name for name in names if _is_path(name) and not assets.is_expert(Path(name))]
 
 
 def judges_of(policies: Iterable[str]) -> dict[str, RunDirectory]:

@@ -223,15 +223,15 @@ def _require_whole(iteration: object, before: Checkpoint, learner: str) -> None:
             raise InputError(
                 f"{told}: memory '{name}' is {value!r:.40}; memory is numpy arrays of numbers, such as np.array(3)"
             )
+    unknown = sorted(iteration.figures.keys() - set(PROGRESS_COLUMNS))
+    if unknown:
+        raise InputError(f"'{unknown[0]}' is no column of progress.csv; figures may be: {', '.join(PROGRESS_COLUMNS)}")
     for name, figure in iteration.figures.items():
         if not isinstance(figure, int | float | np.integer | np.floating):
             raise InputError(f"{told}: figure '{name}' is {figure!r:.40}; figures are numbers")
 
 
 def _progress(iteration: Iteration, before: tuple[Row, ...], seconds: float) -> Row:
-    unknown = sorted(iteration.figures.keys() - set(PROGRESS_COLUMNS))
-    if unknown:
-        raise InputError(f"'{unknown[0]}' is no column of progress.csv; figures may be: {', '.join(PROGRESS_COLUMNS)}")
     steps_before = before[-1]["environment_steps"] if before else 0
     return {
         "iteration": len(before) + 1,

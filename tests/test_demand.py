@@ -1,4 +1,5 @@
 import math
+from pathlib import Path
 
 import libsumo
 import pytest
@@ -110,12 +111,13 @@ def test_when_the_first_and_the_last_depart_is_known(tmp_path, element, span_s):
     assert read([written(tmp_path, f"<routes>{element}</routes>")]).departs_s == span_s
 
 
-def test_what_a_demand_has_sumo_write_is_known(tmp_path):
+def test_what_a_demand_has_sumo_write_is_known(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
     detectors = '<e1Detector id="d" file="e1.xml"/><calibrator id="c" output="sub/c.xml"/><edgeData file="/dev/null"/>'
     path = written(tmp_path, f"<additional>{detectors}</additional>", "d.add.xml")
-    assert read([], [path]).written == {"e1.xml", "c.xml", "null"}
+    assert read([], [path]).written == {tmp_path / "e1.xml", tmp_path / "sub" / "c.xml", Path("/dev/null")}
     device = '<vType id="t"><param key="device.ssm.file" value="ssm/all.xml"/></vType><trip id="0"/>'
-    assert read([written(tmp_path, f"<routes>{device}</routes>")]).written == {"all.xml"}
+    assert read([written(tmp_path, f"<routes>{device}</routes>")]).written == {tmp_path / "ssm" / "all.xml"}
     assert not read().written
 
 

@@ -426,6 +426,17 @@ def test_detectors_may_lie_where_nothing_can_be_written_and_a_folder_that_is_mis
         make(world(traffic=EMPTY | {"additional": [str(additional)]})).reset(seed=UNSEEN)
 
 
+def test_detectors_by_paths_of_windows_leave_nothing_either(make, tmp_path, monkeypatch):
+    additional = tmp_path / "d.add.xml"
+    additional.write_text(r'<additional><edgeData id="m" file="sub\means.xml"/></additional>')
+    asked = ("--tripinfo-output", str(tmp_path / "trips.xml"))
+    env = HighwayEnv(world(traffic=EMPTY | {"additional": [str(additional)]}), outputs=asked)
+    env.reset(seed=UNSEEN)
+    assert len([path for path in tmp_path.iterdir() if path.name.startswith(r"sub\rail_sumo_")]) == 1  # it does report
+    env.close()
+    assert sorted(path.name for path in tmp_path.iterdir()) == ["d.add.xml", "trips.xml"]
+
+
 def test_a_report_that_is_asked_for_is_called_as_asked_beside_detectors_too(make, tmp_path):
     detector = '<e1Detector id="d" lane="highway_0" pos="500" period="5" file="e1.xml"/>'
     (tmp_path / "d.add.xml").write_text(f"<additional>{detector}</additional>")

@@ -79,16 +79,15 @@ def read(file: Path, *, begin_s: float = -math.inf, end_s: float = math.inf) -> 
             f"--fcd-output.attributes x,y,angle,speed,type,lane"
         )
     known = np.isfinite(table[[TIME, X, Y, ANGLE, SPEED]].to_numpy(np.float64)).all(axis=1)
-    whole = table[known]
-    table = whole[whole[TIME].between(begin_s, end_s)].sort_values(TIME, kind="stable")
-    table = table.drop_duplicates([TIME, ID])
-    if whole.empty:
+    is_shown = known & table[TIME].between(begin_s, end_s)
+    if not known.any():
         raise InputError(f"'{file.name}' has no vehicles in it")
-    if table.empty:
-        first_s, last_s = whole[TIME].min(), whole[TIME].max()
+    if not is_shown.any():
+        first_s, last_s = table.loc[known, TIME].agg(["min", "max"])
         raise InputError(
             f"'{file.name}' has no vehicles {_within(begin_s, end_s)}; it is of {first_s:g} to {last_s:g} s"
         )
+    table = table[is_shown].sort_values(TIME, kind="stable").drop_duplicates([TIME, ID])
     start_s, step_s, moment = _moments(table[TIME].to_numpy(), file)
     every = math.ceil(len(table) / MOST_ROWS)
     table, moment = table[moment % every == 0], moment[moment % every == 0]

@@ -50,7 +50,7 @@ def growth(table: pd.DataFrame) -> Iterator[str]:
     """Tell where more vehicles came than left, so that the figures depend on when the period begins and ends."""
     on_road = shares.of_all_vehicles(table).groupby(shares.ARM)[["unfinished", "inserted", "arrived"]].mean()
     ends = on_road["unfinished"]
-    begins = ends - on_road["inserted"] + on_road["arrived"]
+    begins = _at_the_beginning(on_road)
     growth = ends - begins
     grown = growth[(growth >= GROWN) & (growth > GROWN_BY * begins)].sort_values(ascending=False)
     if len(grown):
@@ -64,15 +64,16 @@ def growth(table: pd.DataFrame) -> Iterator[str]:
 def full_starts(table: pd.DataFrame) -> Iterator[str]:
     """Tell which runs begin with more vehicles on the road, beside share 0, than with other seeds."""
     of_all = shares.of_all_vehicles(table)
-    begins = (of_all["unfinished"] - of_all["inserted"] + of_all["arrived"]).rename("begins")
-    runs = of_all[[*shares.ARM, "seed"]].join(begins)
+    runs = of_all[[*shares.ARM, "seed"]].assign(begins=_at_the_beginning(of_all))
     as_they_are = runs[runs["driver"] == shares.AS_THEY_ARE]
     zero = as_they_are.drop_duplicates(["setting", "seed"]).set_index(["setting", "seed"])["begins"]
     told = []
     for arm, of_arm in runs[runs["driver"] != shares.AS_THEY_ARE].groupby(shares.ARM, sort=False):
+        if len(of_arm) <= 2:  # which of two is the fuller?
+            continue
         more = of_arm["begins"] - zero.reindex(pd.MultiIndex.from_frame(of_arm[["setting", "seed"]])).to_numpy()
         beyond = more - more.median()
-        full = of_arm[(beyond >= FULLER) & (beyond >= FULLER_BY * of_arm["begins"])] if len(of_arm) > 2 else of_arm[:0]
+        full = of_arm[(beyond >= FULLER) & (beyond >= FULLER_BY * of_arm["begins"])]
         told += [
             f"{shares.called(*arm)} seed {seed}, {begun} vehicles"
             for seed, begun in full[["seed", "begins"]].itertuples(index=False)
@@ -140,6 +141,11 @@ def emptied(edges: pd.DataFrame) -> Iterator[str]:
             f"far fewer vehicles come to some edges than at share 0 (edges.parquet): {_listed(told)}: they may stand "
             "before, or have not come so far"
         )
+
+
+def _at_the_beginning(counts: pd.DataFrame) -> "pd.Series[float]":
+    """Return how many vehicles were on the road when the period began, from those of its end."""
+    return counts["unfinished"] - counts["inserted"] + counts["arrived"]
 
 
 def _seeds(runs: pd.DataFrame) -> str:

@@ -303,14 +303,15 @@ def _trips(file: Path) -> pd.DataFrame:
     """
     rows = []
     for trip in _elements(file, "tripinfo"):
-        if float(trip.get("depart", "")) < 0.0 and float(trip.get("departDelay", "")) <= 0.0:
+        depart, delay = float(trip.get("depart", "")), float(trip.get("departDelay", ""))
+        if depart < 0.0 and delay <= 0.0:
             continue
         emissions = trip.find("emissions")
         rows.append({
             "id": trip.get("id"),
             "kind": trip.get("vType", ""),
-            "depart": float(trip.get("depart", "")),
-            "delay": float(trip.get("departDelay", "")),
+            "depart": depart,
+            "delay": delay,
             "arrival": float(trip.get("arrival", "")),
             "metres": float(trip.get("routeLength", "")),
             "co2_mg": 0.0 if emissions is None else float(emissions.get("CO2_abs", "0")),

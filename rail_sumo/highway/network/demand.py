@@ -70,10 +70,10 @@ class Demand:
         return {lane for one in self.contents for lane in one.closed_lanes}
 
     @property
-    def written(self) -> set[str]:
-        """Names of the files that it has SUMO write, without their folders, as far as it names them."""
-        names = (name for one in self.contents for name in one.outputs)
-        return {Path(name).name for name in names} - {""}
+    def written(self) -> set[Path]:
+        """The files that it may have SUMO write, as far as it names them: beside what names one, or in this folder."""
+        named = ((path, name) for path in self.files for name in demand_file.read(path).outputs)
+        return {folder / name for path, name in named for folder in (path.parent, Path.cwd())}
 
 
 def read(traffic: config.Traffic) -> Demand:

@@ -45,13 +45,18 @@ OUR_OPTIONS = re.compile(
 MOVING = frozenset({"step-length", "step-method.ballistic", "lateral-resolution", "lanechange.duration"})
 """Those of them by which SUMO's own vehicles drive otherwise."""
 USED = {
-    **{"step-length": SECONDS_PER_STEP, "lateral-resolution": 0.0, "lanechange.duration": 0.0, "threads": 1.0},
-    **{"collision.mingap-factor": 0.0, "collision.check-junctions": "true"},
-    **{"step-method.ballistic": "false", "random": "false"},
+    "step-length": SECONDS_PER_STEP,
+    "step-method.ballistic": "false",
+    "lateral-resolution": 0.0,
+    "lanechange.duration": 0.0,
+    "collision.mingap-factor": 0.0,
+    "collision.check-junctions": "true",
+    "random": "false",
+    "threads": 1.0,
 }
 """What some of them are here."""
 UNSAID_STEP = "1 s by default"
-"""SUMO's `step-length`, in seconds, where a configuration does not tell. Its traffic drives otherwise by ours."""
+"""How SUMO's `step-length` is told where a configuration does not set it: its traffic drives otherwise by ours."""
 
 
 def read(path: Path) -> tuple[dict[str, Any], dict[str, str]]:

@@ -1,4 +1,4 @@
-"""Lanes that a demand closes for a time: which are closed now, and to whom."""
+"""Lanes that a demand closes for a time: which are closed now, and to which classes of vehicles."""
 
 from collections.abc import Iterable, Sequence
 
