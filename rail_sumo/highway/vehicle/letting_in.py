@@ -1,7 +1,6 @@
 """How a driven vehicle gets others to make room for it in a lane beside, and makes room in its own, in SUMO."""
 
 import math
-from contextlib import suppress
 
 import libsumo
 
@@ -43,8 +42,7 @@ class LettingIn:
         self._adas = adas
         self.asks = False
         """Whether SUMO's drivers in a lane beside are asked to make room; SUMO may change lanes for it meanwhile."""
-        self._assertive = ""  # as it was before it asked
-        self._strategic = ""  # how much it wants to leave its lane, as it was, while it lets somebody pass
+        self._before: dict[str, str] = {}  # parameters of its vehicle that are set, as they were
         self._indicates = 0  # to which side it must leave its lane
         self._in_from: list[Side] = []  # on which sides somebody must come into its lane
 
@@ -73,12 +71,24 @@ class LettingIn:
         want to until that one is past; the next may let it in.
         """
         passes = side != 0 and speed_mps < SLOW_MPS and self._beside.gaps(side).behind_m < self._adas.standstill_gap_m
-        if passes != bool(self._strategic):
-            vehicle = libsumo.vehicle
-            with suppress(libsumo.TraCIException):  # its lane-change model, a demand's default, knows no such thing
-                before = self._strategic or vehicle.getParameter(self._name, STRATEGIC_WISH)
-                vehicle.setParameter(self._name, STRATEGIC_WISH, NO_WISH if passes else before)
-                self._strategic = before if passes else ""
+        if passes != (STRATEGIC_WISH in self._before):
+            self._set(STRATEGIC_WISH, NO_WISH if passes else None)
+
+    def _set(self, parameter: str, value: str | None) -> bool:
+        """Set a parameter of its lane-change model, or as it was before (None).
+
+        Returns:
+            Whether the model, which may be a demand's default, knows of it.
+        """
+        vehicle = libsumo.vehicle
+        try:
+            if value is not None:
+                self._before[parameter] = vehicle.getParameter(self._name, parameter)
+            vehicle.setParameter(self._name, parameter, self._before.pop(parameter) if value is None else value)
+        except libsumo.TraCIException:
+            self._before.pop(parameter, None)
+            return False
+        return True
 
     def _ask_sumo(self, side: int, speed_mps: float) -> bool:
         """Have SUMO's drivers in the lane on a side let the host in, as they do each other; 0: no longer.
@@ -94,14 +104,9 @@ class LettingIn:
         asks = side != 0 and self._needs_room(side, speed_mps) and not self._is_cut_in_on(speed_mps)
         if asks == self.asks:
             return False
-        vehicle = libsumo.vehicle
-        try:
-            if asks:
-                self._assertive = vehicle.getParameter(self._name, ASSERTIVE)
-            vehicle.setParameter(self._name, ASSERTIVE, NOT_ASSERTIVE if asks else self._assertive)
-        except libsumo.TraCIException:  # its lane-change model, a demand's default, knows no such thing
+        if not self._set(ASSERTIVE, NOT_ASSERTIVE if asks else None):
             return False
-        vehicle.setLaneChangeMode(self._name, ASKS if asks else COMMANDED_ONLY)
+        libsumo.vehicle.setLaneChangeMode(self._name, ASKS if asks else COMMANDED_ONLY)
         self.asks = asks
         return True
 
