@@ -110,6 +110,8 @@ class HostState(NamedTuple):
     right_goes_on_m: float = 0.0
     sumos_lane_changes: int = 0
     """How often SUMO has changed lanes by now, as the host's driver or while the host asked to be let in."""
+    queued_m: tuple[float, ...] = ()
+    """For each lane, from the rightmost: how long the queue ahead in it is; empty where none matters."""
 
     def ends_in_m(self, lane: int) -> float:
         """Return how far ahead of the host a lane stops leading on along the course."""
@@ -150,6 +152,9 @@ class Command(NamedTuple):
     steps: int = 1
     asks: int = 0
     """+1 to ask those in the lane to the left to let it in, as by its indicator, -1 those to the right."""
+    must_leave: int | None = None
+    """+1 where its lane must be left to the left, however far ahead, -1 to the right, 0 where none leads on farther;
+    None: SUMO knows."""
 
 
 EndReason = Literal[

@@ -1,5 +1,7 @@
 """Small networks, element by element."""
 
+import re
+
 
 def edge(name, *, y=0.0, x=(0.0, 100.0), lanes=2, closed=(), width=3.2):
     """An edge that runs east; lane 0 lies on y, the next ones to its left."""
@@ -84,3 +86,25 @@ def cut_road(*lengths_m, lanes=3, inside_m=0.0, width=3.2):
         f'<location netOffset="0,0" convBoundary="0,0,{start_m},0" origBoundary="0,0,{start_m},0" projParameter="!"/>'
     )
     return f'<net version="1.20">{location}{internal}{edges}{junctions}{dead_ends}{connections}</net>'
+
+
+def with_exit(length_m, lanes):
+    """A road whose right lane leads off and whose others lead on."""
+    text = cut_road(length_m, 400.0, lanes=lanes)
+    whole = text[text.index('<edge id="part1"') :]
+    whole = whole[: whole.index("</edge>") + len("</edge>")]
+    rows = re.findall("<lane .*?/>", whole)
+    number = re.compile(r'id="part1_\d" index="\d"')
+    exits = number.sub('id="exit_0" index="0"', rows[0])
+    leads_on = "".join(number.sub(f'id="main_{k}" index="{k}"', row) for k, row in enumerate(rows[1:]))
+    parts = "".join(
+        f'<edge id="{name}" from="cut0" to="east">{row}</edge>' for name, row in (("exit", exits), ("main", leads_on))
+    )
+    text = text.replace(whole, parts)
+    for k in range(lanes):
+        name = "main" if k else "exit"
+        text = text.replace(
+            f'to="part1" fromLane="{k}" toLane="{k}"', f'to="{name}" fromLane="{k}" toLane="{max(k - 1, 0)}"'
+        )
+    ends = " ".join(f"part1_{k}" for k in range(lanes))
+    return text.replace(ends, " ".join(("exit_0", *(f"main_{k}" for k in range(lanes - 1)))))

@@ -604,8 +604,10 @@ def test_300_m_for_each_lane_to_cross_before_its_lanes_end_the_host_leaves_it_wh
     assert adas.lateral_m == pytest.approx(STRIDE_M)
 
 
-@pytest.mark.parametrize(("to_edge_end_m", "why"), [(500.0, "lane ends"), (700.0, "")])
-def test_a_lane_from_which_two_more_have_to_be_crossed_is_not_open_600_m_before_its_end(adas, to_edge_end_m, why):
+@pytest.mark.parametrize(("to_edge_end_m", "why"), [(790.0, "lane ends"), (810.0, "")])
+def test_a_lane_from_which_two_more_have_to_be_crossed_is_not_open_10_s_and_600_m_before_its_end(
+    adas, to_edge_end_m, why
+):
     host = at(lane=2, to_edge_end_m=to_edge_end_m, leads_on_m=ending(0, 1, 2, 3))
     adas.decide(RIGHT, host._replace(lane=3), free)
     assert adas.why == why
@@ -693,6 +695,54 @@ def test_it_asks_on_the_side_of_the_nearer_lane_that_leads_on_and_not_where_its_
     assert go_on(adas, host, closed).asks == asks
 
 
+@pytest.mark.parametrize(("queued", "leaves"), [((0, 150.0), True), ((150.0, 0), True), ((0, 0, 150.0), False)])
+def test_the_longer_the_queue_the_earlier_the_host_leaves_its_lane_for_it(adas, queued, leaves):
+    """In the lane that it makes for, or in its own; a third does not matter. It takes 100 m to brake from 20 m/s."""
+    host = at(lane=0, to_edge_end_m=551.0, leads_on_m=ending(0), queued_m=(*queued, *(0,) * (5 - len(queued))))
+    go_on(adas, host)
+    assert not adas.changing_lane
+    go_on(adas, host._replace(to_edge_end_m=549.0))
+    assert adas.changing_lane == leaves
+
+
+def test_beside_a_queue_the_host_falls_in_as_slowly_as_at_its_lanes_end(adas):
+    """Or it would pass those who wait, and stand beside them."""
+    host = at(lane=0, speed_mps=10.0, to_edge_end_m=280.0, leads_on_m=ending(0))
+    queued = host._replace(queued_m=(0, 260.0, 0, 0, 0))
+    assert go_on(adas, host, beside(2.0, 0.0)).speed_mps > 10.0
+    assert go_on(adas, queued, beside(2.0, 0.0)).speed_mps < 10.0
+
+
+@pytest.mark.parametrize(("to_edge_end_m", "why"), [(499.0, "lane ends"), (501.0, "")])
+def test_nobody_is_overtaken_in_a_lane_that_must_be_left_within_10_s(adas, to_edge_end_m, why):
+    """300 m before its end, at 20 m/s."""
+    adas.decide(LEFT, at(lane=2, to_edge_end_m=to_edge_end_m, leads_on_m=ending(3, 4)), free)
+    assert adas.why == why
+
+
+def test_towards_those_that_lead_on_a_lane_is_entered_however_soon_it_must_be_left(adas):
+    adas.decide(RIGHT, at(lane=4, to_edge_end_m=650.0, leads_on_m=ending(3, 4)), free)
+    assert adas.side == -1
+
+
+@pytest.mark.parametrize(
+    ("lane", "leads_on_m", "side"),
+    [
+        (0, ending(0, 1), 1),
+        (2, ending(0, 1), 0),
+        (4, ending(3, 4), -1),
+        (0, ending(0, 1, 2, 3, 4), 0),
+        (3, ending(), 0),
+    ],
+)
+@pytest.mark.parametrize("to_edge_end_m", [100.0, 5000.0])
+def test_from_however_far_the_layer_says_on_which_side_lanes_lead_on_farther(
+    adas, lane, leads_on_m, side, to_edge_end_m
+):
+    command = go_on(adas, at(lane=lane, to_edge_end_m=to_edge_end_m, leads_on_m=leads_on_m), closed)
+    assert command.must_leave == side
+
+
 def test_where_every_lane_ends_or_none_the_host_stays(adas):
     for lanes in ((0, 1, 2, 3, 4), ()):
         assert go_on(adas, at(to_edge_end_m=200.0, leads_on_m=ending(*lanes))).asks == 0
@@ -700,7 +750,7 @@ def test_where_every_lane_ends_or_none_the_host_stays(adas):
 
 
 def test_near_its_end_nobody_changes_into_a_lane_that_ends(adas):
-    beside = at(lane=1, to_edge_end_m=301.0, leads_on_m=ending(0))
+    beside = at(lane=1, to_edge_end_m=501.0, leads_on_m=ending(0))
     assert adas.allowed(beside, free)[RIGHT]
     near = beside._replace(to_edge_end_m=299.0)
     assert adas.allowed(near, free) == [True, True, True, True, False]
@@ -719,7 +769,7 @@ def test_a_change_out_of_a_lane_that_ends_is_not_taken_back_by_a_decision_but_wh
     assert adas.allowed(host, free) == [True, False, False, False, False]
     adas.decide(RIGHT, host, free)
     assert (adas.side, adas.refused_decisions) == (1, 1)
-    far = host._replace(to_edge_end_m=400.0)
+    far = host._replace(to_edge_end_m=600.0)
     assert adas.allowed(far, free)[RIGHT]
     if steps == 5:
         for _ in range(10):

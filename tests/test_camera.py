@@ -160,7 +160,7 @@ def test_at_the_end_of_an_acceleration_lane_the_speed_follows_the_lanes_end_unti
     film, trajectory, _ = filmed(on("onramp", traffic=traffic), "rule", UNSEEN + 3)  # it enters by the ramp
     ends = np.array([HOLDINGS[k] == "lane end" for k in film.driven.holding])
     assert ends.any()
-    assert (np.diff(trajectory.speed_mps)[ends[1:]] < 0.0).all()
+    assert (np.diff(trajectory.speed_mps)[ends[1:] & ends[:-1]] < 0.0).all()  # from the frame on in which it begins
     [left] = [mark for mark in film.driven.marks if mark.kind == "lane end"]
     assert left.text == "to the left"
     assert not ends[left.frame + 20 :].any()  # 2 s later it has left it

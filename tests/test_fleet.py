@@ -12,7 +12,7 @@ import pytest
 from driving import ACCELERATE, KEEP, LEFT, ONE, RIGHT, UNSEEN, closing, led_off, on_ramp
 from hypothesis import given
 from hypothesis import strategies as st
-from sketch import cut_road
+from sketch import cut_road, with_exit
 
 from rail_sumo import config_file, rollout, roster
 from rail_sumo.errors import InputError
@@ -235,28 +235,6 @@ def trips(world, share, who, folder, until_s=150.0):
     driven = Fleet(world, share, SEED, who, options)
     driven.drive(until_s)
     return driven, {trip.get("id"): trip for trip in ElementTree.parse(file).getroot()}
-
-
-def with_exit(length_m, lanes):
-    """A road whose right lane leads off and whose others lead on."""
-    text = cut_road(length_m, 400.0, lanes=lanes)
-    whole = text[text.index('<edge id="part1"') :]
-    whole = whole[: whole.index("</edge>") + len("</edge>")]
-    rows = re.findall("<lane .*?/>", whole)
-    number = re.compile(r'id="part1_\d" index="\d"')
-    exits = number.sub('id="exit_0" index="0"', rows[0])
-    leads_on = "".join(number.sub(f'id="main_{k}" index="{k}"', row) for k, row in enumerate(rows[1:]))
-    parts = "".join(
-        f'<edge id="{name}" from="cut0" to="east">{row}</edge>' for name, row in (("exit", exits), ("main", leads_on))
-    )
-    text = text.replace(whole, parts)
-    for k in range(lanes):
-        name = "main" if k else "exit"
-        text = text.replace(
-            f'to="part1" fromLane="{k}" toLane="{k}"', f'to="{name}" fromLane="{k}" toLane="{max(k - 1, 0)}"'
-        )
-    ends = " ".join(f"part1_{k}" for k in range(lanes))
-    return text.replace(ends, " ".join(("exit_0", *(f"main_{k}" for k in range(lanes - 1)))))
 
 
 @pytest.mark.parametrize("share", [0.5, 1.0])

@@ -21,6 +21,9 @@ SPARE_M, SPARE_S = 1.0, 0.1
 """How much farther, and how much longer in time, the host falls back behind a vehicle in a lane beside than behind one
 in its own: it would come to a gap that is just long enough too slowly, and that would open and close again."""
 
+FALLS_BACK_S = 4.0
+"""Within about what time that gap is opened: behind one that has cut in it takes 15 s, and a queue may be nearer."""
+
 # ISO 15622: adaptive cruise control brakes no harder than this at these speeds, and in proportion between them.
 SLOW_MPS, FAST_MPS = 5.0, 20.0
 HARDEST_WHEN_SLOW_MPS2, HARDEST_WHEN_FAST_MPS2 = 5.0, 3.5
@@ -73,10 +76,13 @@ def following_mps(speed_mps: float, leader: Leader, adas: Adas) -> float:
 def falling_in_mps(speed_mps: float, other: Leader, adas: Adas) -> float:
     """Return the speed at the end of the next step that opens a gap behind a vehicle in a lane beside.
 
-    As behind a leader, but with no more than comfortable braking.
+    As behind a leader, but with no more than comfortable braking, and where the gap is too short, faster.
     """
     farther = other._replace(gap_m=other.gap_m - SPARE_M - SPARE_S * speed_mps)
-    return max(following_mps(speed_mps, farther, adas), speed_mps - adas.comfort_braking_mps2 * SECONDS_PER_STEP)
+    lacks_m = adas.standstill_gap_m + adas.time_gap_s * other.speed_mps - farther.gap_m
+    opening_mps = max(other.speed_mps - lacks_m / FALLS_BACK_S, 0.0) if lacks_m > 0.0 else math.inf
+    slowest_mps = speed_mps - adas.comfort_braking_mps2 * SECONDS_PER_STEP
+    return max(min(following_mps(speed_mps, farther, adas), opening_mps), slowest_mps)
 
 
 def letting_in_mps(speed_mps: float, other: Leader, stands_in_m: float, adas: Adas) -> float:

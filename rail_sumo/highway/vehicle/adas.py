@@ -141,7 +141,7 @@ class Adas:
         speed = max(set_speed, host.speed_mps - self._config.comfort_braking_mps2 * SECONDS_PER_STEP)
         stays = self._side is None and way_on is None
         if stays and speed == set_speed == _within_limits(speed, host, self._config, steps=steps):
-            return Command(speed, steps=steps)
+            return Command(speed, steps=steps, must_leave=lane_ends.must_leave(host) or 0)
         limited = _within_limits(speed, host, self._config, steps=1)
         falling_in = math.inf
         if way_on is not None and (self._side is None or self.aim == way_on):
@@ -149,7 +149,9 @@ class Adas:
         self.falls_in = falling_in < limited
         limited = min(limited, falling_in)
         command = Command(limited) if self._side is None else self._sideways(self._side, limited, host, gaps)
-        return command if way_on is None or command.cross else command._replace(asks=way_on)
+        if command.cross:
+            return command
+        return command._replace(asks=way_on or 0, must_leave=lane_ends.must_leave(host) or 0)
 
     def _falling_in_mps(self, host: HostState, beside: Gaps) -> float:
         """Return the speed that opens a gap behind the vehicle ahead in a lane beside; inf if none is in sight.
@@ -159,7 +161,7 @@ class Adas:
         if math.isinf(beside.ahead_m):
             return math.inf
         ahead = acc.Leader(beside.ahead_m, beside.ahead_speed_mps)
-        slowest = math.sqrt(2 * EASY_MPS2 * max(lane_ends.stands_in_m(host), 0.0))
+        slowest = math.sqrt(2 * EASY_MPS2 * lane_ends.joins_in_m(host))
         return max(acc.falling_in_mps(host.speed_mps, ahead, self._config), slowest)
 
     def lane_changes_by_now(self, sumos: int) -> int:
@@ -200,7 +202,7 @@ class Adas:
             return "line" if host.rightmost_lane <= host.lane + side <= host.leftmost_lane else "no lane"
         if not self._has_room(host, side):
             return "room"
-        if not lane_ends.leads_on(host, host.lane + side) and side != lane_ends.way_on(host):
+        if not lane_ends.may_enter(host, side):
             return "lane ends"
         return "" if self._safe(host.speed_mps, gaps(side)) else "gap"
 

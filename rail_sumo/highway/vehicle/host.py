@@ -16,6 +16,7 @@ from rail_sumo.highway.vehicle.cut_ins import CutIns
 from rail_sumo.highway.vehicle.junctions import SUMO_SPEED_MODE, Junctions
 from rail_sumo.highway.vehicle.letting_in import COMMANDED_ONLY, LettingIn
 from rail_sumo.highway.vehicle.neighbours import Neighbours
+from rail_sumo.highway.vehicle.queues import Queues
 from rail_sumo.highway.vehicle.sumos_changes import SumosChanges
 from rail_sumo.highway.vehicle.whereabouts import to_lane_end_m, way_of
 from rail_sumo.records import SUMO_DECIDES, Command, Gaps, HostState, Scene
@@ -58,6 +59,7 @@ class Host:
         """What it meets at those ahead."""
         self._ahead = Ahead(name, standstill_gap_m=adas.standstill_gap_m)
         self._sumos_changes = SumosChanges(name)
+        self._queues = Queues(name)
         self._know(road)
         self.abilities = Abilities(name, adas, fastest_mps=self.fastest_mps, shares_type=shares_type)
         """What SUMO lets it do."""
@@ -84,6 +86,7 @@ class Host:
         self._edges = road.edge_of
         self._joints = road.joints
         self._sumos_changes.follow(road.next_lanes)
+        self._queues.follow(road.next_lanes)
         self._sight_m = acc.sight_m(self.fastest_mps, self._adas)
         self._neighbours.follow(road, sight_m=self._sight_m)
         to_stop_m = acc.braking_distance_m(self.fastest_mps, self._adas.comfort_braking_mps2)
@@ -136,6 +139,7 @@ class Host:
         If it is faster, it stays so: SUMO would brake it hard, and it leaves the road soon.
         """
         self._ask(0)
+        self._letting_in.tell(None)
         self.abilities.heed_closings(True)
         vehicle, speed_mps = libsumo.vehicle, libsumo.vehicle.getSpeed(self.name)
         vehicle.setType(self.name, kind)
@@ -211,6 +215,7 @@ class Host:
             limits_ahead=edge.limits_ahead,
             stops_ahead=stops,
             sumos_lane_changes=self.sumos_lane_changes,
+            queued_m=() if self._sumo_drives else self._queues.queued_m(edge),
         )
 
     @property
@@ -289,6 +294,7 @@ class Host:
             self.junctions.heed_signals(self.speeds_mps[-1])
             self.abilities.be_gentle(self.junctions.is_slow_at_line(self.speeds_mps[-1]))
         self._set_mps = command.speed_mps
+        self._letting_in.tell(command.must_leave)
         self._ask(command.asks)
         if command.cross:
             vehicle.changeLane(self.name, vehicle.getLaneIndex(self.name) + command.cross, 0.0)
@@ -305,7 +311,8 @@ class Host:
             self._sumos_changes.begin()
 
     def heed(self) -> None:
-        """Notice who must come into its lane, and let them in until it looks again."""
+        """Notice queues, and who must come into its lane; let those in until it looks again."""
+        self._queues.look_again()
         self._letting_in.heed()
 
     def drive(self) -> None:

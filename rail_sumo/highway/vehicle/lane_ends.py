@@ -19,6 +19,12 @@ SUMO stands closer to it, and brakes for that harder. Where lanes part, each of 
 the other is: the one that must go left stands back, and the other passes it. SUMO's lane changer keeps such room too
 (blocker length).
 """
+FOR_QUEUE_MPS2 = 2.0
+"""How hard the host brakes to the end of a queue that it joins: it must be in that lane before."""
+OVERTAKING_S = 10.0
+"""For how long the host must be able to stay in a lane that it enters, unless that brings it nearer to one that leads
+on: whoever overtakes just before an exit stands beside the queue in it. SUMO's own drivers want 20 s."""
+NO_QUEUES: Mapping[int, float] = {}
 
 
 def other(side: Side) -> Side:
@@ -26,28 +32,51 @@ def other(side: Side) -> Side:
     return RIGHT if side == LEFT else LEFT
 
 
-def leading_on(ends_in_m: Mapping[int, float]) -> list[int]:
+def leading_on(
+    ends_in_m: Mapping[int, float], queued_m: Mapping[int, float] = NO_QUEUES, spare_m: float = 0.0
+) -> list[int]:
     """Return the lanes that nobody need leave by now; where all end soon, those that lead on farthest.
 
-    A lane need be left the earlier, the more lanes there are to cross to one of those.
+    A lane need be left the earlier, the more lanes there are to cross to the nearest of those, and the longer the queue
+    in either is: so that a vehicle joins a queue at its end, and does not stand beside it.
+
+    Args:
+        ends_in_m: for each lane how far ahead it ends.
+        queued_m: for each lane how long the queue ahead in it is, with the room that it takes to brake for it.
+        spare_m: without those that need be left within so far.
     """
     farthest_m = max(ends_in_m.values())
     best = [lane for lane, metres in ends_in_m.items() if metres == farthest_m]
-    to_cross = {lane: min(abs(lane - other) for other in best) for lane in ends_in_m}
-    return [lane for lane, metres in ends_in_m.items() if metres >= min(to_cross[lane] * LEAVE_LANE_M, farthest_m)]
+
+    def to_leave_m(lane: int) -> float:
+        goal = min(best, key=lambda one: abs(one - lane))
+        queue_m = max(queued_m.get(goal, 0.0), queued_m.get(lane, 0.0))
+        return abs(goal - lane) * LEAVE_LANE_M + queue_m + spare_m if goal != lane else 0.0
+
+    return [lane for lane, metres in ends_in_m.items() if metres >= min(to_leave_m(lane), farthest_m)]
 
 
-def leads_on(host: HostState, lane: int) -> bool:
-    """Return whether the host need not leave a lane of its edge by now."""
-    return math.isinf(host.ends_in_m(lane)) or lane in leading_on(_ends_in_m(host))
+def may_enter(host: HostState, side: Side) -> bool:
+    """Return whether the lane on a side is none that the host would have to leave again soon, or the way to one."""
+    if math.isinf(host.ends_in_m(host.lane + side)) or side == way_on(host):
+        return True
+    spare_m = 0.0 if side == must_leave(host) else OVERTAKING_S * host.speed_mps
+    return host.lane + side in _leading_on(host, spare_m)
 
 
 def way_on(host: HostState) -> Side | None:
     """Return the side of the nearest lane that leads on, if the host must leave its own for it by now."""
     if math.isinf(host.ends_in_m(host.lane)):
         return None
-    goals = leading_on(_ends_in_m(host))
+    goals = _leading_on(host)
     return None if host.lane in goals else _towards(goals, host)
+
+
+def must_leave(host: HostState) -> Side | None:
+    """Return the side of the nearest lane that leads on farther than the host's own, however far ahead that ends."""
+    ends_in_m = host.ends_in_m(host.lane)
+    farther = [lane for lane, metres in _ends_in_m(host).items() if metres > ends_in_m]
+    return _towards(farther, host) if farther else None
 
 
 def stands_in_m(host: HostState) -> float:
@@ -55,8 +84,23 @@ def stands_in_m(host: HostState) -> float:
     ends_in_m = host.ends_in_m(host.lane)
     if math.isinf(ends_in_m):
         return math.inf
-    farther = [lane for lane, metres in _ends_in_m(host).items() if metres > ends_in_m]
-    return ends_in_m - STANDS_BEFORE_M[_towards(farther, host) if farther else RIGHT]
+    return ends_in_m - STANDS_BEFORE_M[must_leave(host) or RIGHT]
+
+
+def joins_in_m(host: HostState) -> float:
+    """Return how far ahead it must have left its lane: where it would have to stand, or by the queue that it joins."""
+    side = must_leave(host)
+    return max(stands_in_m(host) - (_queued_m(host).get(host.lane + side, 0.0) if side else 0.0), 0.0)
+
+
+def _leading_on(host: HostState, spare_m: float = 0.0) -> list[int]:
+    to_stop_m = host.speed_mps**2 / (2 * FOR_QUEUE_MPS2)
+    queued_m = {lane: metres + to_stop_m for lane, metres in _queued_m(host).items() if metres}
+    return leading_on(_ends_in_m(host), queued_m, spare_m)
+
+
+def _queued_m(host: HostState) -> dict[int, float]:
+    return dict(enumerate(host.queued_m, host.rightmost_lane))
 
 
 def _ends_in_m(host: HostState) -> dict[int, float]:

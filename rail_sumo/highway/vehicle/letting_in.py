@@ -21,6 +21,8 @@ SLOW_MPS = 1.0
 """A host that is slower waits at the end of its lane, or in a queue."""
 INDICATOR = "rail_sumo.indicator"
 """The parameter of a host's vehicle by which others know to which side it must leave its lane, as by its indicator."""
+MUST_LEAVE = "rail_sumo.must_leave"
+"""The parameter that tells so from afar: 0 where its lane leads on, whatever SUMO's lane changer would rather have."""
 WANTS, STRATEGIC = {LEFT: 2, RIGHT: 4}, 8
 """SUMO's bits of what a vehicle's lane changer means to do: to change to a side; and that its lane does not lead on."""
 UNSURE_MPS = 0.5
@@ -43,7 +45,8 @@ class LettingIn:
         self.asks = False
         """Whether SUMO's drivers in a lane beside are asked to make room; SUMO may change lanes for it meanwhile."""
         self._before: dict[str, str] = {}  # parameters of its vehicle that are set, as they were
-        self._indicates = 0  # to which side it must leave its lane
+        self._indicates = 0  # to which side it must leave its lane by now, ...
+        self._must_leave: int | None = None  # ... and however far ahead
         self._in_from: list[Side] = []  # on which sides somebody must come into its lane
 
     # Others let it in.
@@ -63,6 +66,12 @@ class LettingIn:
         if side != self._indicates:
             self._indicates = side
             libsumo.vehicle.setParameter(self._name, INDICATOR, str(side))
+
+    def tell(self, must_leave: int | None) -> None:
+        """Let other hosts know to which side its lane must be left, however far ahead; see `Command.must_leave`."""
+        if must_leave != self._must_leave:
+            self._must_leave = must_leave
+            libsumo.vehicle.setParameter(self._name, MUST_LEAVE, "" if must_leave is None else str(must_leave))
 
     def _let_pass(self, side: int, speed_mps: float) -> None:
         """Where the host stands, have who stands so near behind it that it cannot move in front drive on past it.
@@ -148,23 +157,21 @@ class LettingIn:
         return min((acc.letting_in_mps(speed_mps, *one, self._adas) for one in coming), default=math.inf)
 
     def _who_must_come(self, side: Side) -> tuple[Leader, float] | None:
-        """Return who is next ahead in the lane on a side, if it must come into the host's lane; how far on it stands.
+        """Return who ahead in the lane on a side must come into the host's lane first, and how far on it stands.
 
         A host stands as far before the end of its lane as this one would, SUMO's vehicles at the end.
         """
-        found, vehicle = self._beside.ahead(side), libsumo.vehicle
-        if found is None:
-            return None
-        name, gap_m = found
-        towards = other(side)
+        vehicle, towards = libsumo.vehicle, other(side)
         must = WANTS[towards] | STRATEGIC
-        if vehicle.getParameter(name, INDICATOR) == str(towards):
-            before_m = STANDS_BEFORE_M[towards]
-        elif _means(name, towards) & must == must:
-            before_m = 0.0
-        else:
-            return None
-        return Leader(gap_m, vehicle.getSpeed(name)), max(to_lane_end_m(name) - before_m, 0.0)
+        for name, gap_m in self._beside.all_ahead(side):
+            if vehicle.getParameter(name, INDICATOR) == str(towards):
+                before_m = STANDS_BEFORE_M[towards]
+            elif _means(name, towards) & must == must and vehicle.getParameter(name, MUST_LEAVE) in ("", str(towards)):
+                before_m = 0.0
+            else:
+                continue
+            return Leader(gap_m, vehicle.getSpeed(name)), max(to_lane_end_m(name) - before_m, 0.0)
+        return None
 
 
 def _means(name: str, side: Side) -> int:

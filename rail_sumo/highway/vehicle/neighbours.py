@@ -6,7 +6,7 @@ from collections.abc import Iterable, Iterator, Mapping, Sequence
 import libsumo
 
 from rail_sumo.highway.network.road import Road
-from rail_sumo.highway.vehicle.whereabouts import to_lane_end_m
+from rail_sumo.highway.vehicle.whereabouts import ahead_on, to_lane_end_m
 from rail_sumo.records import Gaps
 
 OVER_JOINTS = 2
@@ -43,8 +43,7 @@ class Neighbours:
             ahead, behind = ([pair] if pair and pair[0] else [] for pair in (leader, follower))
         else:
             ahead, behind = (vehicle.getNeighbors(self._name, mode) for mode in modes(side))
-            edge, _, lane = vehicle.getLaneID(self._name).rpartition("_")
-            beside = f"{edge}_{int(lane) + side}"
+            beside = self._beside(side)
             ahead, behind = ahead or self._next_ahead(beside), behind or self._next_behind(beside)
             for name, aims_at in claims:
                 ahead, behind = self._with_claim(name, self._to_lane_m(beside, aims_at), [*ahead], [*behind])
@@ -57,6 +56,26 @@ class Neighbours:
         found = libsumo.vehicle.getNeighbors(self._name, modes(side)[0])
         name, gap_m = min(found, key=lambda neighbour: neighbour[1], default=("", 0.0))
         return (name, gap_m + self._standstill_gap_m) if name else None
+
+    def all_ahead(self, side: int) -> Iterator[tuple[str, float]]:
+        """Yield who is ahead in the lane on a side, the nearest first, and how far, bumper to bumper.
+
+        Beyond the edge's end it yields one, if there is none before it.
+        """
+        nearest = self.ahead(side)
+        if nearest is None:
+            return
+        yield nearest
+        vehicle, beside = libsumo.vehicle, self._beside(side)
+        if vehicle.getLaneID(nearest[0]) == beside:
+            here_m = vehicle.getLanePosition(self._name)
+            for name in ahead_on(beside, vehicle.getLanePosition(nearest[0])):
+                yield name, vehicle.getLanePosition(name) - vehicle.getLength(name) - here_m
+
+    def _beside(self, side: int) -> str:
+        """Return the lane on a side."""
+        edge, _, lane = libsumo.vehicle.getLaneID(self._name).rpartition("_")
+        return f"{edge}_{int(lane) + side}"
 
     def _with_claim(
         self, name: str, lane_ahead_m: float | None, ahead: list[tuple[str, float]], behind: list[tuple[str, float]]
