@@ -107,6 +107,16 @@ def test_who_must_come_is_let_in_whoever_drives_between(on_lane, passes_m):
     assert lets_in(simulation)
 
 
+@pytest.mark.parametrize(("gap_m", "is_let_in"), [(-0.3, False), (1.8, False), (4.0, True)])
+def test_nobody_waits_beside_one_that_stands_where_it_has_no_room_to_come(on_lane, gap_m, is_let_in):
+    """On beihong-flyover, a road of others, one stood 45 s so, on an open road, and all behind it."""
+    simulation = on_lane(0)
+    put("waits", 1, FRONT_M + 5.0 + gap_m)
+    simulation.run(Command(0.0))
+    libsumo.vehicle.setParameter("waits", "rail_sumo.indicator", "-1")
+    assert lets_in(simulation) == is_let_in
+
+
 @pytest.mark.parametrize(("says", "is_let_in"), [("", True), ("-1", True), ("0", False), ("1", False)])
 def test_what_sumo_wants_of_a_driven_one_counts_only_where_its_own_layer_says_so_too(on_lane, says, is_let_in):
     simulation = on_lane(0, LETS_IN_MPS, front_m=930.0)

@@ -324,9 +324,8 @@ class Host:
             if leader is not None:
                 speed_mps = min(speed_mps, acc.following_mps(now_mps, leader, self._adas))
             self.abilities.brace(now_mps, speed_mps, leader)
-        is_driven = self.junctions.matter and not self._sumo_drives
-        if is_driven and libsumo.vehicle.getLaneID(self.name).startswith(":"):
-            speed_mps = min(speed_mps, self.junctions.clear_mps(self._look_around().boxes, now_mps))
+        if self.junctions.matter and not self._sumo_drives:
+            speed_mps = min(speed_mps, self.junctions.clear_mps(self._look_around, now_mps))
         if speed_mps != self._told_mps:
             libsumo.vehicle.setSpeed(self.name, speed_mps)
             self._told_mps = speed_mps

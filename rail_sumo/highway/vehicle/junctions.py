@@ -1,17 +1,18 @@
 """What a driven vehicle meets at the junctions ahead of it in SUMO, and what it heeds there."""
 
 import math
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 
 import libsumo
+import numpy as np
 
 from rail_sumo import config
 from rail_sumo.highway.network.edge import Edge
 from rail_sumo.highway.network.road import Road
 from rail_sumo.highway.vehicle import crossing
-from rail_sumo.highway.vehicle.right_of_way import NOT_GREEN, SIGHT_M, GiveWay, Place, Signal
+from rail_sumo.highway.vehicle.right_of_way import LINE_SHORT_M, NOT_GREEN, SIGHT_M, GiveWay, Place, Signal
 from rail_sumo.highway.vehicle.whereabouts import to_junction_end_m, to_lane_end_m, way_of
-from rail_sumo.records import SECONDS_PER_STEP, Floats
+from rail_sumo.records import SECONDS_PER_STEP, Scene
 
 SUMO_SPEED_MODE = 31
 """SUMO's default speed mode."""
@@ -19,6 +20,10 @@ IGNORE_SIGNALS = 15
 """Speed mode: the same, but for signals."""
 SLOW_MPS, LINE_NEAR_M = 5.0, 10.0
 """A vehicle that is slower, and nearer to a line, may have to stop there within a second."""
+STUCK_MPS = 0.5
+"""Whoever is slower within a junction is stuck there."""
+STRAIGHT = "s"
+"""SUMO's letter for the way straight on."""
 
 
 class Junctions:
@@ -36,6 +41,7 @@ class Junctions:
         self._drives_on = False  # past the next signal, though it is not green
         self._shown: list[str | bool] = []  # when it last looked
         self._is_unsure = False
+        self._crossing: dict[str, Sequence[str]] = {}  # lanes within junctions that others cross
 
     def follow(self, road: Road, *, sees_m: float) -> None:
         """Tell what is ahead along a course, so far away."""
@@ -93,18 +99,45 @@ class Junctions:
         """
         return self.matter and (self._is_unsure or self._shows(self._signals()) != self._shown)
 
-    def clear_mps(self, boxes: Floats, speed_mps: float) -> float:
-        """Return how fast it may go on within a junction, for those who are stuck across its path; inf outside one.
+    def clear_mps(self, look_around: Callable[[], Scene], speed_mps: float) -> float:
+        """Return how fast it may go on, for those who are across its path within a junction; inf if nobody is.
+
+        Before a junction it heeds those who stand there across its way straight on, and stops at the line for them.
 
         Args:
-            boxes: itself and the vehicles around it; see `Scene`.
+            look_around: returns itself and the vehicles around it.
             speed_mps: how fast it is.
         """
-        free_m = crossing.free_m(boxes)
-        if free_m > to_junction_end_m(self._name):  # beside the road that it comes out on
-            return math.inf
+        if libsumo.vehicle.getLaneID(self._name).startswith(":"):
+            free_m = crossing.free_m(look_around().boxes)
+            if free_m > to_junction_end_m(self._name):  # beside the road that it comes out on
+                return math.inf
+            allowed_mps = crossing.allowed_mps(free_m)
+        else:
+            allowed_mps = self._clear_ahead_mps(look_around, speed_mps)
         hardest_mps = speed_mps - self._adas.emergency_braking_mps2 * SECONDS_PER_STEP
-        return max(crossing.allowed_mps(free_m), hardest_mps, 0.0)
+        return max(allowed_mps, hardest_mps, 0.0)
+
+    def _clear_ahead_mps(self, look_around: Callable[[], Scene], speed_mps: float) -> float:
+        comfort_mps2, to_line_m = self._adas.comfort_braking_mps2, to_lane_end_m(self._name)
+        if to_line_m > speed_mps**2 / (2 * comfort_mps2) + LINE_NEAR_M:
+            return math.inf
+        for *_, via, _, direction, inside_m in libsumo.vehicle.getNextLinks(self._name)[:1]:
+            if direction == STRAIGHT and via and self._is_crossed(via):
+                boxes = look_around().boxes
+                boxes = boxes[:, (boxes[3] < STUCK_MPS) | (np.arange(boxes.shape[1]) == 0)]
+                free_m = crossing.free_m(boxes)
+                if to_line_m < free_m < to_line_m + inside_m:
+                    stops = speed_mps**2 / (2 * self._adas.emergency_braking_mps2) < to_line_m
+                    at_line_mps = math.sqrt(2 * comfort_mps2 * max(to_line_m - LINE_SHORT_M, 0.0))
+                    return at_line_mps if stops else crossing.allowed_mps(free_m)
+        return math.inf
+
+    def _is_crossed(self, inside: str) -> bool:
+        """Return whether anybody is on a lane that crosses one within a junction, or joins it."""
+        if inside not in self._crossing:
+            self._crossing[inside] = libsumo.lane.getInternalFoes(inside)
+        return any(map(libsumo.lane.getLastStepOccupancy, self._crossing[inside]))
 
     def _signals(self) -> list[Signal]:
         """Return the signals that it may have to brake for by now, the nearest first."""

@@ -159,7 +159,8 @@ class LettingIn:
     def _who_must_come(self, side: Side) -> tuple[Leader, float] | None:
         """Return who ahead in the lane on a side must come into the host's lane first, and how far on it stands.
 
-        A host stands as far before the end of its lane as this one would, SUMO's vehicles at the end.
+        A host stands as far before the end of its lane as this one would, SUMO's vehicles at the end; whoever stands
+        already waits where it is.
         """
         vehicle, towards = libsumo.vehicle, other(side)
         must = WANTS[towards] | STRATEGIC
@@ -170,7 +171,9 @@ class LettingIn:
                 before_m = 0.0
             else:
                 continue
-            return Leader(gap_m, vehicle.getSpeed(name)), max(to_lane_end_m(name) - before_m, 0.0)
+            speed_mps = vehicle.getSpeed(name)
+            goes_on_m = to_lane_end_m(name) - before_m if speed_mps > SLOW_MPS else 0.0
+            return Leader(gap_m, speed_mps), max(goes_on_m, 0.0)
         return None
 
 

@@ -58,7 +58,7 @@ class Neighbours:
         return (name, gap_m + self._standstill_gap_m) if name else None
 
     def all_ahead(self, side: int) -> Iterator[tuple[str, float]]:
-        """Yield who is ahead in the lane on a side, the nearest first, and how far, bumper to bumper.
+        """Yield who is ahead and in sight in the lane on a side, the nearest first, and how far, bumper to bumper.
 
         Beyond the edge's end it yields one, if there is none before it.
         """
@@ -70,7 +70,10 @@ class Neighbours:
         if vehicle.getLaneID(nearest[0]) == beside:
             here_m = vehicle.getLanePosition(self._name)
             for name in ahead_on(beside, vehicle.getLanePosition(nearest[0])):
-                yield name, vehicle.getLanePosition(name) - vehicle.getLength(name) - here_m
+                gap_m = vehicle.getLanePosition(name) - vehicle.getLength(name) - here_m
+                if gap_m > self._sight_m:
+                    break
+                yield name, gap_m
 
     def _beside(self, side: int) -> str:
         """Return the lane on a side."""

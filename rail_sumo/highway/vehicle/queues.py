@@ -1,4 +1,4 @@
-"""How long the queues are ahead in the lanes that lead on, of a driven vehicle's edge, in SUMO."""
+"""How long the queues ahead are in the lanes of a driven vehicle's edge, in SUMO."""
 
 import math
 from collections.abc import Iterator, Mapping, Sequence
