@@ -9,9 +9,11 @@ import numpy as np
 import pytest
 from driving import ACCELERATE, EMPTY, KEEP, LEFT, MERGE, RIGHT, UNSEEN, always, at_random, drive, world
 
+from rail_sumo import config
 from rail_sumo.errors import InputError
-from rail_sumo.highway.sumo.simulation import HOST
-from rail_sumo.records import KMH
+from rail_sumo.highway.network import road
+from rail_sumo.highway.sumo.simulation import HOST, Simulation
+from rail_sumo.records import KMH, Command
 
 
 @pytest.fixture
@@ -364,6 +366,33 @@ def test_where_the_host_waits_no_lane_change_begins_that_could_reach_into_the_ju
         assert np.abs(np.diff(front_m)).max() <= 0.17 + 1e-6  # 1.7 m/s
         assert past(watched())[-1] > 50.0
         assert driven.refused_decisions > 5
+
+
+@pytest.mark.parametrize("stuck_at_m", [600.5, 590.0])
+def test_before_a_junction_the_host_stops_comfortably_for_who_is_stuck_across_its_way(crossing, stuck_at_m):
+    """Not for who waits at the line. It looked within the junction alone before, and came to that at 50 km/h."""
+    course = road.load(str(crossing("G").network.file), ("in", "out"))
+    with Simulation(course.net_file, seed=1) as simulation:
+        simulation.lay_course(course, config.Adas(), sees_m=300.0)
+        simulation.add_host(["in", "out"], lane=0, front_m=100.0, speed_mps=14.0)
+        libsumo.route.add("across", ["up", "on"])
+        libsumo.vehicle.add("stuck", "across", departLane="0", departPos="585", departSpeed="5")
+        simulation.wait_for_host()
+        libsumo.vehicle.setSpeedMode("stuck", 0)
+        while libsumo.vehicle.getDistance("stuck") + 585.0 < stuck_at_m:
+            libsumo.vehicle.setSpeed("stuck", 5.0)
+            simulation.run(Command(14.0))
+        libsumo.vehicle.setSpeed("stuck", 0.0)
+        simulation.run(Command(14.0, steps=200))
+        host, is_stuck = simulation.host, stuck_at_m > LINE_M
+        assert not host.contact
+        assert min(np.diff(host.speeds_mps)) > -0.21
+        assert (host.speeds_mps[-1] < 0.1) == is_stuck
+        assert libsumo.vehicle.getRoadID(host.name) == ("in" if is_stuck else "out")
+        libsumo.vehicle.setSpeed("stuck", 5.0)
+        simulation.run(Command(14.0, steps=80))
+        assert not host.contact
+        assert libsumo.vehicle.getRoadID(host.name) == "out"
 
 
 def test_what_sumo_says_while_the_host_enters_more_slowly_is_not_the_users_to_read(make, tmp_path, capfd):

@@ -129,8 +129,8 @@ class Junctions:
                 free_m = crossing.free_m(boxes)
                 if to_line_m < free_m < to_line_m + inside_m:
                     stops = speed_mps**2 / (2 * self._adas.emergency_braking_mps2) < to_line_m
-                    at_line_mps = math.sqrt(2 * comfort_mps2 * max(to_line_m - LINE_SHORT_M, 0.0))
-                    return at_line_mps if stops else crossing.allowed_mps(free_m)
+                    left_m = to_line_m - LINE_SHORT_M - speed_mps * SECONDS_PER_STEP
+                    return math.sqrt(2 * comfort_mps2 * max(left_m, 0.0)) if stops else crossing.allowed_mps(free_m)
         return math.inf
 
     def _is_crossed(self, inside: str) -> bool:
