@@ -275,6 +275,28 @@ def test_an_edge_that_traffic_no_longer_comes_to_is_told_of():
     assert not list(cautions.emptied(edges[edges["driver"] != "sumo"]))  # nobody was on the road
 
 
+def test_edges_where_some_lose_far_more_time_though_all_together_do_not_are_told_of():
+    def rows(driver, share, losses_s, n=100):
+        about = {"driver": driver, "setting": "", "share": share, "seed": 0, "vehicles": "others", "type": "car"}
+        sums = dict.fromkeys(traffic.SUMS, 0) | {"vehkm": 10.0, "vehicle_s": 1000.0}
+        return [
+            about | {"edge": edge, "n_vehicles": n} | sums | {"time_loss_s": loss_s}
+            for edge, loss_s in losses_s.items()
+        ]
+
+    as_they_are = rows("sumo", 0.0, {"main": 2000.0, "ramp": 300.0, ":junction": 10.0})
+    ramp_loses = rows("rule", 1.0, {"main": 1000.0, "ramp": 700.0, ":junction": 500.0})
+    (note,) = cautions.losers(pd.DataFrame(as_they_are + ramp_loses))
+    assert note.endswith("(edges.parquet): rule at 100%: ramp (30 to 70 s/km)")
+    all_lose = rows("rule", 1.0, {"main": 4000.0, "ramp": 700.0})
+    a_little = rows("rule", 1.0, {"main": 1000.0, "ramp": 550.0})
+    from_nothing = rows("rule", 1.0, {"main": 2000.0, "ramp": 300.0, "new": 900.0})
+    few = rows("rule", 1.0, {"main": 1000.0, "ramp": 700.0}, n=10)
+    for others in (all_lose, a_little, from_nothing, few, []):
+        assert not list(cautions.losers(pd.DataFrame(as_they_are + others)))
+    assert not list(cautions.losers(pd.DataFrame(ramp_loses)))  # nothing to compare with
+
+
 @pytest.mark.parametrize(("driver", "told"), [("acc", True), ("rule", False)])
 def test_keys_of_the_assistance_layer_are_told_to_do_nothing_to_sumos_own_cruise_control(world, driver, told):
     swept = small(world, "out", drivers=(driver,), key="adas.time_gap_s", settings=("1", "2"))

@@ -1,4 +1,4 @@
-"""What the runs of a sweep tell against its own figures: who waits, a road that fills up or locks, an empty exit."""
+"""What the runs of a sweep tell against its own figures: who waits, where the road fills up or locks, who loses."""
 
 from collections.abc import Iterator, Sequence
 
@@ -16,6 +16,9 @@ BROKEN_DOWN = 0.5
 """A run has broken down if its mean speed is less than this share of the median of its other seeds'."""
 FEWER, AT_LEAST = 0.5, 20
 """Traffic has gone from an edge where less than this share of the vehicles is left, if there were so many."""
+SLOWER, SLOWER_S_PER_KM, EVEN = 2.0, 30.0, 1.5
+"""Vehicles lose on an edge where their time loss is so many times that of share 0, and so much more; where that of all
+together is this many times as long, they lose everywhere."""
 
 
 def of_runs(table: pd.DataFrame, edges: pd.DataFrame) -> Iterator[str]:
@@ -32,6 +35,7 @@ def of_runs(table: pd.DataFrame, edges: pd.DataFrame) -> Iterator[str]:
     yield from contacts(table)
     yield from breakdowns(table)
     yield from emptied(edges)
+    yield from losers(edges)
 
 
 def backlog(table: pd.DataFrame) -> Iterator[str]:
@@ -140,6 +144,30 @@ def emptied(edges: pd.DataFrame) -> Iterator[str]:
         yield (
             f"far fewer vehicles come to some edges than at share 0 (edges.parquet): {_listed(told)}: they may stand "
             "before, or have not come so far"
+        )
+
+
+def losers(edges: pd.DataFrame) -> Iterator[str]:
+    """Tell where vehicles lose far more time than at share 0, though all together do not: a mean hides who loses."""
+    by = [*shares.ARM, "edge"]
+    counts = shares.told_once(edges).groupby(by)["n_vehicles"].sum()
+    losses = shares.rates(edges, by).set_index(by)["time_loss_s_per_km"].sort_index()
+    of_all = shares.rates(edges, shares.ARM).set_index(shares.ARM)["time_loss_s_per_km"]
+    on_roads = losses[(counts >= AT_LEAST) & ~losses.index.get_level_values("edge").str.startswith(":")]
+    by_edge = on_roads.unstack("edge").reindex(of_all.index)
+    told = []
+    for arm in of_all.index:
+        as_they_are = (shares.AS_THEY_ARE, arm[1], 0.0)
+        if arm == as_they_are or as_they_are not in of_all.index or of_all[arm] > EVEN * of_all[as_they_are]:
+            continue
+        before, now = by_edge.loc[as_they_are], by_edge.loc[arm]
+        worst = (now - before)[(now > SLOWER * before) & (now > before + SLOWER_S_PER_KM)].nlargest(MOST_TOLD).index
+        if len(worst):
+            where = ", ".join(f"{edge} ({before[edge]:.0f} to {now[edge]:.0f} s/km)" for edge in worst)
+            told.append(f"{shares.called(*arm)}: {where}")
+    if told:
+        yield (
+            f"some lose where all together do not: time loss on edges, from share 0 on (edges.parquet): {_listed(told)}"
         )
 
 
