@@ -259,7 +259,7 @@ def test_a_sweep_and_a_study_show_their_tables_and_figures(tmp_path):
     relative = {"relative": 0.05, "relative_low": -0.01, "relative_high": 0.11}
     differences = [
         arm | relative | {"driver": driver, "vehicles": kind, "difference": value}
-        for driver, kind, value in (("sumo", "all", 0.0), ("rule", "all", 3.25), ("rule", "driven", 77.75))
+        for driver, kind, value in (("rule", "all", 3.25), ("rule", "driven", 77.75))
     ]
     report.typed(differences, DIFFERENCE_COLUMNS).to_parquet(sweep / "differences.parquet")
     figures = {name: [1.0, 3.0] for name in ("speed_kmh", "overtakes", "lane_changes", "refused_decisions")}
@@ -272,7 +272,7 @@ def test_a_sweep_and_a_study_show_their_tables_and_figures(tmp_path):
     heads = re.findall(r'scope="col" class="\w+">(.*?)<', of_differences)
     assert heads == ["driver", "share", "measure", "seeds", "difference", "relative", "seeds_to_tell"]
     cells = '<td data-value="3.25">3.25</td><td data-value="0.05">0.05<small>-0.01 to 0.11</small></td><td></td>'
-    assert of_differences.count("<tr>") == 1 + 1  # of all vehicles, not of those driven, nor of those as they are
+    assert of_differences.count("<tr>") == 1 + 1  # of all vehicles, not of those driven
     assert cells in of_differences
     assert '<td data-value="12.5">12.5<small>11 to 14</small></td>' in of_means
     assert "<caption><span>mine. caption</span></caption>" in page

@@ -19,7 +19,7 @@ from rail_sumo.records import MetaAction
 from rail_sumo.run_directory import CLONE, CONFIG, PROGRESS
 from rail_sumo.tables import report
 from rail_sumo.tables.report import CONTACTS, DECISIONS, EPISODES, ORIGIN, SUMMARY, WORLD
-from rail_sumo.tables.shares import ARM, AS_THEY_ARE, EDGES, HEADINGS, TOLD, called, rates
+from rail_sumo.tables.shares import ARM, EDGES, HEADINGS, TOLD, called, rates
 from rail_sumo.tables.traffic import ALL
 
 _PARTS = Path(__file__).with_name("report")
@@ -202,7 +202,7 @@ def _sweep(folder: Path) -> Iterator[str]:
     if (folder / SWEEP).is_file():
         yield "<h3>All vehicles</h3>" + markup.table(*_of_markdown((folder / SWEEP).read_text(encoding="utf-8")))
     yield _figures(folder / "figures", "*.svg")
-    of_all = differences[(differences["vehicles"] == ALL) & (differences["driver"] != AS_THEY_ARE)]
+    of_all = differences[differences["vehicles"] == ALL]
     of_all = _with_intervals(of_all.drop(columns="vehicles"), "difference", "relative")
     caption = "Differences from the same runs without driven cars, of all vehicles, with 95 % intervals."
     yield markup.details("All differences", markup.table(of_all, caption))

@@ -108,7 +108,8 @@ def compared(table: pd.DataFrame) -> pd.DataFrame:
     keys = ["setting", "share", "vehicles"]
     as_they_are = table[table["driver"] == AS_THEY_ARE].set_index(keys)
     rows = []
-    for about, of_seeds in table[table["share"] > 0.0].groupby(["driver", *keys], sort=False):
+    driven = table[(table["share"] > 0.0) & (table["driver"] != AS_THEY_ARE)]
+    for about, of_seeds in driven.groupby(["driver", *keys], sort=False):
         beside = as_they_are.loc[[about[1:]]].set_index("seed").reindex(of_seeds["seed"])
         told = dict(zip(("driver", *keys), about, strict=True))
         for measure in MEASURED:
