@@ -75,6 +75,8 @@ def way_on(host: HostState) -> Side | None:
 def must_leave(host: HostState) -> Side | None:
     """Return the side of the nearest lane that leads on farther than the host's own, however far ahead that ends."""
     ends_in_m = host.ends_in_m(host.lane)
+    if math.isinf(ends_in_m):
+        return None
     farther = [lane for lane, metres in _ends_in_m(host).items() if metres > ends_in_m]
     return _towards(farther, host) if farther else None
 
