@@ -242,7 +242,7 @@ def test_a_run_that_begins_with_more_vehicles_than_with_other_seeds_is_told_of()
     as_they_are = [row("sumo", 0.0, seed, begins) for seed, begins in enumerate((262, 240, 261))]
     driven = [row("rule", 0.25, seed, begins) for seed, begins in enumerate((276, 241, 260))]
     (note,) = cautions.full_starts(pd.DataFrame([*as_they_are, *driven]))
-    assert "beside share 0: rule at 25% seed 0, 276 vehicles: they may have stood in the warm-up" in note
+    assert "against other seeds: rule at 25% seed 0, 276 vehicles: they may have stood in the warm-up" in note
     alike = [row("rule", 0.25, seed, begins) for seed, begins in enumerate((282, 260, 280))]  # as their traffic is
     assert not list(cautions.full_starts(pd.DataFrame([*as_they_are, *alike])))
     assert not list(cautions.full_starts(pd.DataFrame([*as_they_are[:2], *driven[:2]])))  # which of two is the fuller?

@@ -66,7 +66,7 @@ def growth(table: pd.DataFrame) -> Iterator[str]:
 
 
 def full_starts(table: pd.DataFrame) -> Iterator[str]:
-    """Tell which runs begin with more vehicles on the road, beside share 0, than with other seeds."""
+    """Tell which runs begin with more vehicles on the road than share 0 does, and with other seeds do not."""
     of_all = shares.of_all_vehicles(table)
     runs = of_all[[*shares.ARM, "seed"]].assign(begins=_at_the_beginning(of_all))
     as_they_are = runs[runs["driver"] == shares.AS_THEY_ARE]
@@ -84,8 +84,8 @@ def full_starts(table: pd.DataFrame) -> Iterator[str]:
         ]
     if told:
         yield (
-            f"the period begins with more vehicles on the road than with other seeds, beside share 0: {_listed(told)}: "
-            "they may have stood in the warm-up, and what dissolves is counted as flow; sweep --fcd shows it"
+            "the period begins with far more vehicles than share 0 of the same seed, against other seeds: "
+            f"{_listed(told)}: they may have stood in the warm-up, and what dissolves is counted as flow; sweep --fcd shows it"
         )
 
 
