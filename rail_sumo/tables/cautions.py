@@ -85,7 +85,8 @@ def full_starts(table: pd.DataFrame) -> Iterator[str]:
     if told:
         yield (
             "the period begins with far more vehicles than share 0 of the same seed, against other seeds: "
-            f"{_listed(told)}: they may have stood in the warm-up, and what dissolves is counted as flow; sweep --fcd shows it"
+            f"{_listed(told)}: they may have stood in the warm-up, and what dissolves is counted as flow; sweep --fcd "
+            "shows it"
         )
 
 
