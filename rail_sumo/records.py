@@ -134,6 +134,8 @@ class Lane(NamedTuple):
     limit_mps: float
     is_open: bool = True
     """Whether it is open to cars."""
+    has_priority: bool = False
+    """Whether nobody need wait at its end: it leads on, all ways have priority, and there is no signal."""
 
 
 SUMO_DECIDES = -1.0

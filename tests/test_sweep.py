@@ -248,6 +248,18 @@ def test_a_run_that_begins_with_more_vehicles_than_with_other_seeds_is_told_of()
     assert not list(cautions.full_starts(pd.DataFrame([*as_they_are[:2], *driven[:2]])))  # which of two is the fuller?
 
 
+def test_runs_in_which_somebody_stands_on_a_free_road_are_told_of():
+    about = {"vehicles": "all", "setting": ""}
+    table = pd.DataFrame([
+        *(about | {"driver": "sumo", "share": 0.0, "seed": seed, "stuck": n} for seed, n in enumerate((2, 0, 1))),
+        about | {"driver": "sumo", "share": 1.0, "seed": 0, "stuck": 2},  # told once, of share 0
+        *(about | {"driver": "rule", "share": 1.0, "seed": seed, "stuck": 0} for seed in range(3)),
+    ])  # fmt: skip
+    (note,) = cautions.stuck(table)
+    assert "a free road ahead (column stuck): as they are in 2 of 3 runs: those behind lost" in note
+    assert not list(cautions.stuck(table[table["driver"] == "rule"]))
+
+
 def test_runs_in_which_vehicles_touch_are_told_of():
     about = {"vehicles": "all", "setting": "", "driver": "rule", "share": 1.0}
     table = pd.DataFrame([about | {"seed": seed, "collisions": number} for seed, number in enumerate((1, 0, 2))])

@@ -14,7 +14,11 @@ from rail_sumo.tables import traffic
 from rail_sumo.tables.traffic import Reports, Run, Vehicle
 
 LIMIT_MPS = 20.0
-LANES = {"a_0": Lane(1000.0, LIMIT_MPS), "a_1": Lane(1000.0, LIMIT_MPS), "b_0": Lane(500.0, LIMIT_MPS)}
+LANES = {
+    "a_0": Lane(1000.0, LIMIT_MPS, has_priority=True),
+    "a_1": Lane(1000.0, LIMIT_MPS),
+    "b_0": Lane(500.0, LIMIT_MPS),
+}
 
 
 def written(
@@ -164,6 +168,39 @@ def test_contacts_lane_changes_and_teleports_belong_to_who_takes_part(tmp_path):
     assert [told[kind]["teleports"] for kind in ("all", "driven", "others")] == [1, 0, 1]
     assert told["driven"]["lane_changes_per_vehkm"] == pytest.approx(20.0)
     assert told["others"]["lane_changes_per_vehkm"] == 0.0
+
+
+@pytest.mark.parametrize(
+    ("samples", "stuck"),
+    [
+        (drives("one", [0.0] * 59), 0),
+        (drives("one", [0.0] * 60), 1),
+        (drives("one", [0.0] * 200), 1),
+        (drives("one", [0.0] * 60 + [1.0] + [0.0] * 60), 2),
+        (drives("one", [0.0] * 40 + [1.0] + [0.0] * 40), 0),
+        (drives("one", [0.0] * 40) + drives("one", [0.0] * 40, from_s=25.0), 0),  # it was away in between
+        (drives("one", [0.0] * 40) + drives("two", [0.0] * 40), 0),
+        (drives("one", [0.0] * 60, gaps=[16.0] * 60), 1),
+        (drives("one", [0.0] * 60, gaps=[14.0] * 60), 0),  # in a queue
+        (drives("one", [0.0] * 60, "a_1"), 0),  # where others come first
+        (drives("one", [0.5] * 60), 0),
+    ],
+)
+def test_who_stands_for_30_s_on_a_free_road_where_it_has_priority_is_stuck(tmp_path, samples, stuck):
+    assert of(written(tmp_path, samples, until_s=200.0))["all"]["stuck"] == stuck
+
+
+def test_sumo_tells_where_nobody_need_wait():
+    ends = {}
+    for network in ("onramp", "arterial"):
+        run = Fleet(
+            config_file.validate({"network": {"file": network}, "traffic": {"routes": [network]}}), 0.0, UNSEEN, "sumo"
+        )
+        run.drive(1.0)
+        ends |= {name: lane.has_priority for name, lane in run.lanes.items()}
+    assert [ends[f"merge1_{k}"] for k in range(4)] == [False, True, True, True], "the acceleration lane leads nowhere"
+    assert not ends["off_0"], "the road ends"
+    assert not ends["east1_pocket_0"], "at a signal"
 
 
 def test_an_edge_has_what_happened_on_it_by_type_and_by_whether_driven(tmp_path):

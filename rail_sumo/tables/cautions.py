@@ -32,6 +32,7 @@ def of_runs(table: pd.DataFrame, edges: pd.DataFrame) -> Iterator[str]:
     yield from growth(table)
     yield from full_starts(table)
     yield from locks(table)
+    yield from stuck(table)
     yield from contacts(table)
     yield from breakdowns(table)
     yield from emptied(edges)
@@ -97,6 +98,19 @@ def locks(table: pd.DataFrame) -> Iterator[str]:
         yield (
             f"SUMO took vehicles off the road that had stood too long (column teleports), with the seeds "
             f"{_seeds(locked)}: the road may be locked there, and means are of unlike runs"
+        )
+
+
+def stuck(table: pd.DataFrame) -> Iterator[str]:
+    """Tell in which runs vehicles stood on a free road, as two of SUMO's do that wait for each other."""
+    runs = shares.of_all_vehicles(table)
+    some = runs.assign(some=runs["stuck"] > 0).groupby(shares.ARM, sort=False)["some"].agg(["sum", "size"])
+    told = [f"{shares.called(*arm)} in {n} of {n_runs} runs" for arm, n, n_runs in some.itertuples(name=None) if n]
+    if told:
+        yield (
+            f"vehicles stood for 30 s and longer with a free road ahead (column stuck): {_listed(told)}: those behind "
+            "lost that time too, and where it happens at share 0 alone, part of what driven cars gain is that; sweep "
+            "--fcd shows it"
         )
 
 

@@ -184,6 +184,7 @@ HEADINGS = {
     "fuel_ml_per_vehkm": "fuel, ml a vehicle kilometre",
     "collisions": "contacts",
     "teleports": "teleports",
+    "stuck": "vehicles stuck",
 }
 """What figures call the measures."""
 

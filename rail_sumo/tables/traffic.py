@@ -25,6 +25,8 @@ LEADER_WITHIN_M = 200.0
 TTC_S = 1.5
 DRAC_MPS2 = 3.4
 """Deceleration to avoid a crash: (v - w)^2 / (2 gap). Archer (2005)."""
+STUCK_S, STUCK_MPS, FREE_M = 30.0, 0.1, 15.0
+"""A vehicle is stuck that stands for so long, and has nobody so near ahead, where nobody need wait."""
 PETROL_G_PER_ML = 0.742
 """SUMO tells fuel by its mass."""
 
@@ -53,6 +55,7 @@ MEASURES: dict[str, str] = {
     "fuel_ml_per_vehkm": "float64",
     "collisions": "int64",
     "teleports": "int64",
+    "stuck": "int64",
 }
 """The measures, in order, with their pandas types. Their definitions are in docs/measures.md."""
 
@@ -219,6 +222,7 @@ class Reports:
             "fuel_ml_per_vehkm": per_vehkm(departed["fuel_mg"].sum() / 1000 / PETROL_G_PER_ML, whole_km),
             "collisions": sum(any(map(belongs, both)) for both in within(self._collided)),
             "teleports": sum(map(belongs, within(list(run.teleported)))),
+            "stuck": int(samples["is_stuck"].sum()),
         }
 
 
@@ -264,6 +268,9 @@ def _samples(run: Run) -> pd.DataFrame:
     read["brakes_hard"] = hard_braking.beginnings(braking > HARD_MPS2, braking < EASED_MPS2)
     read["ttc_short"] = _begins(ttc < TTC_S, is_next)
     read["drac_high"] = _begins(drac > DRAC_MPS2, is_next)
+    with_priority = {name for name, lane in run.lanes.items() if lane.has_priority}
+    waits_for_nobody = read["lane"].isin(with_priority).to_numpy() & ((gap < 0.0) | (gap > FREE_M))
+    read["is_stuck"] = _lasts((speed < STUCK_MPS) & waits_for_nobody, is_next, round(STUCK_S / SAMPLED_S))
     return read
 
 
@@ -286,6 +293,14 @@ def _begins(holds: np.ndarray, is_next: np.ndarray) -> np.ndarray:
     """Return where something begins to hold for a vehicle; rows of a vehicle follow one another."""
     before = np.concatenate(([False], holds[:-1])) & is_next
     return holds & ~before
+
+
+def _lasts(holds: np.ndarray, is_next: np.ndarray, n_samples: int) -> np.ndarray:
+    """Return where something has just held for a vehicle for so many samples."""
+    begins = _begins(holds, is_next)
+    numbers = np.arange(len(holds))
+    since = numbers - np.maximum.accumulate(np.where(begins, numbers, 0)) if len(holds) else numbers
+    return holds & (since == n_samples - 1)
 
 
 def _std_within(samples: pd.DataFrame) -> float:

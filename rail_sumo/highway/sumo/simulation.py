@@ -13,6 +13,7 @@ from rail_sumo.highway import sumo_process
 from rail_sumo.highway.names import CARS, HOST, OURS
 from rail_sumo.highway.network import sumo_xml
 from rail_sumo.highway.network.demand import Demand
+from rail_sumo.highway.network.lanes import MAJOR
 from rail_sumo.highway.network.road import Road
 from rail_sumo.highway.sumo import inserted
 from rail_sumo.highway.sumo.closings import Closings
@@ -267,8 +268,14 @@ class Simulation:
         """Return every lane, junctions' insides too, by its id."""
         get = libsumo.lane
         allowed = {name: get.getAllowed(name) for name in get.getIDList()}  # nobody named: everybody
+        states = {name: {link[5] for link in get.getLinks(name)} for name in allowed}
         return {
-            name: Lane(get.getLength(name), get.getMaxSpeed(name), not classes or not CARS.isdisjoint(classes))
+            name: Lane(
+                get.getLength(name),
+                get.getMaxSpeed(name),
+                is_open=not classes or not CARS.isdisjoint(classes),
+                has_priority=states[name] == {MAJOR},
+            )
             for name, classes in allowed.items()
         }
 
