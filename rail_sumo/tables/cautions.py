@@ -142,8 +142,7 @@ def breakdowns(table: pd.DataFrame) -> Iterator[str]:
 
 def emptied(edges: pd.DataFrame) -> Iterator[str]:
     """Tell where far fewer vehicles come to an edge than at share 0, as to an exit before which they stand."""
-    within_a_junction = edges["edge"].str.startswith(":")
-    once = shares.told_once(edges[~within_a_junction])
+    once = shares.told_once(_outside_junctions(edges))
     counts = once.groupby([*shares.ARM, "edge"], sort=False)["n_vehicles"].sum().reset_index()
     as_they_are = counts[counts["driver"] == shares.AS_THEY_ARE]
     told = []
@@ -164,12 +163,11 @@ def emptied(edges: pd.DataFrame) -> Iterator[str]:
 
 def losers(edges: pd.DataFrame) -> Iterator[str]:
     """Tell where vehicles lose far more time than at share 0, though all together do not: a mean hides who loses."""
-    by = [*shares.ARM, "edge"]
-    counts = shares.told_once(edges).groupby(by)["n_vehicles"].sum()
-    losses = shares.rates(edges, by).set_index(by)["time_loss_s_per_km"].sort_index()
+    by, roads = [*shares.ARM, "edge"], _outside_junctions(edges)
+    counts = shares.told_once(roads).groupby(by)["n_vehicles"].sum()
+    losses = shares.rates(roads, by).set_index(by)["time_loss_s_per_km"].sort_index()
     of_all = shares.rates(edges, shares.ARM).set_index(shares.ARM)["time_loss_s_per_km"]
-    on_roads = losses[(counts >= AT_LEAST) & ~losses.index.get_level_values("edge").str.startswith(":")]
-    by_edge = on_roads.unstack("edge").reindex(of_all.index)
+    by_edge = losses[counts >= AT_LEAST].unstack("edge").reindex(of_all.index)
     told = []
     for arm in of_all.index:
         as_they_are = (shares.AS_THEY_ARE, arm[1], 0.0)
@@ -184,6 +182,10 @@ def losers(edges: pd.DataFrame) -> Iterator[str]:
         yield (
             f"some lose where all together do not: time loss on edges, from share 0 on (edges.parquet): {_listed(told)}"
         )
+
+
+def _outside_junctions(edges: pd.DataFrame) -> pd.DataFrame:
+    return edges[~edges["edge"].str.startswith(":")]
 
 
 def _at_the_beginning(counts: pd.DataFrame) -> "pd.Series[float]":

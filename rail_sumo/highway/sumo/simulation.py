@@ -268,13 +268,12 @@ class Simulation:
         """Return every lane, junctions' insides too, by its id."""
         get = libsumo.lane
         allowed = {name: get.getAllowed(name) for name in get.getIDList()}  # nobody named: everybody
-        states = {name: {link[5] for link in get.getLinks(name)} for name in allowed}
         return {
             name: Lane(
                 get.getLength(name),
                 get.getMaxSpeed(name),
                 is_open=not classes or not CARS.isdisjoint(classes),
-                has_priority=states[name] == {MAJOR},
+                has_priority={state for *_, state, _, _ in get.getLinks(name)} == {MAJOR},
             )
             for name, classes in allowed.items()
         }

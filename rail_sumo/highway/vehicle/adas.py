@@ -141,7 +141,7 @@ class Adas:
         speed = max(set_speed, host.speed_mps - self._config.comfort_braking_mps2 * SECONDS_PER_STEP)
         stays = self._side is None and way_on is None
         if stays and speed == set_speed == _within_limits(speed, host, self._config, steps=steps):
-            return Command(speed, steps=steps, must_leave=lane_ends.must_leave(host) or 0)
+            return Command(speed, steps=steps, must_leave=lane_ends.must_leave(host))
         limited = _within_limits(speed, host, self._config, steps=1)
         falling_in = math.inf
         if way_on is not None and (self._side is None or self.aim == way_on):
@@ -151,7 +151,7 @@ class Adas:
         command = Command(limited) if self._side is None else self._sideways(self._side, limited, host, gaps)
         if command.cross:
             return command
-        return command._replace(asks=way_on or 0, must_leave=lane_ends.must_leave(host) or 0)
+        return command._replace(asks=way_on or 0, must_leave=lane_ends.must_leave(host))
 
     def _falling_in_mps(self, host: HostState, beside: Gaps) -> float:
         """Return the speed that opens a gap behind the vehicle ahead in a lane beside; inf if none is in sight.

@@ -4,12 +4,11 @@ import math
 from collections.abc import Callable, Sequence
 
 import libsumo
-import numpy as np
 
 from rail_sumo import config
 from rail_sumo.highway.network.edge import Edge
 from rail_sumo.highway.network.road import Road
-from rail_sumo.highway.vehicle import crossing
+from rail_sumo.highway.vehicle import acc, crossing
 from rail_sumo.highway.vehicle.right_of_way import LINE_SHORT_M, NOT_GREEN, SIGHT_M, GiveWay, Place, Signal
 from rail_sumo.highway.vehicle.whereabouts import to_junction_end_m, to_lane_end_m, way_of
 from rail_sumo.records import SECONDS_PER_STEP, Scene
@@ -120,18 +119,24 @@ class Junctions:
 
     def _clear_ahead_mps(self, look_around: Callable[[], Scene], speed_mps: float) -> float:
         comfort_mps2, to_line_m = self._adas.comfort_braking_mps2, to_lane_end_m(self._name)
-        if to_line_m > speed_mps**2 / (2 * comfort_mps2) + LINE_NEAR_M:
+        if to_line_m > acc.braking_distance_m(speed_mps, comfort_mps2) + LINE_NEAR_M:
             return math.inf
-        for *_, via, _, direction, inside_m in libsumo.vehicle.getNextLinks(self._name)[:1]:
-            if direction == STRAIGHT and via and self._is_crossed(via):
-                boxes = look_around().boxes
-                boxes = boxes[:, (boxes[3] < STUCK_MPS) | (np.arange(boxes.shape[1]) == 0)]
-                free_m = crossing.free_m(boxes)
-                if to_line_m < free_m < to_line_m + inside_m:
-                    stops = speed_mps**2 / (2 * self._adas.emergency_braking_mps2) < to_line_m
-                    left_m = to_line_m - LINE_SHORT_M - speed_mps * SECONDS_PER_STEP
-                    return math.sqrt(2 * comfort_mps2 * max(left_m, 0.0)) if stops else crossing.allowed_mps(free_m)
-        return math.inf
+        links = libsumo.vehicle.getNextLinks(self._name)
+        if not links:
+            return math.inf
+        *_, via, _, direction, inside_m = links[0]
+        if direction != STRAIGHT or not via or not self._is_crossed(via):
+            return math.inf
+        boxes = look_around().boxes
+        is_told = boxes[3] < STUCK_MPS
+        is_told[0] = True  # the host itself
+        free_m = crossing.free_m(boxes[:, is_told])
+        if not to_line_m < free_m < to_line_m + inside_m:
+            return math.inf
+        if acc.braking_distance_m(speed_mps, self._adas.emergency_braking_mps2) >= to_line_m:
+            return crossing.allowed_mps(free_m)
+        left_m = to_line_m - LINE_SHORT_M - speed_mps * SECONDS_PER_STEP
+        return math.sqrt(2 * comfort_mps2 * max(left_m, 0.0))
 
     def _is_crossed(self, inside: str) -> bool:
         """Return whether anybody is on a lane that crosses one within a junction, or joins it."""

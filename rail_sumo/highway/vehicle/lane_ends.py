@@ -22,8 +22,10 @@ the other is: the one that must go left stands back, and the other passes it. SU
 FOR_QUEUE_MPS2 = 2.0
 """How hard the host brakes to the end of a queue that it joins: it must be in that lane before."""
 OVERTAKING_S = 10.0
-"""For how long the host must be able to stay in a lane that it enters, unless that brings it nearer to one that leads
-on: whoever overtakes just before an exit stands beside the queue in it. SUMO's own drivers want 20 s."""
+"""For how long the host must be able to stay in a lane that it enters, unless the lane is nearer to one that leads on.
+
+A car that overtakes just before its exit stands beside the queue there. SUMO's own drivers want 20 s.
+"""
 NO_QUEUES: Mapping[int, float] = {}
 
 
@@ -57,7 +59,7 @@ def leading_on(
 
 
 def may_enter(host: HostState, side: Side) -> bool:
-    """Return whether the lane on a side is none that the host would have to leave again soon, or the way to one."""
+    """Return whether the host may move into the lane on a side: on its way on, or where it may stay for a while."""
     if math.isinf(host.ends_in_m(host.lane + side)) or side == way_on(host):
         return True
     spare_m = 0.0 if side == must_leave(host) else OVERTAKING_S * host.speed_mps
@@ -72,13 +74,16 @@ def way_on(host: HostState) -> Side | None:
     return None if host.lane in goals else _towards(goals, host)
 
 
-def must_leave(host: HostState) -> Side | None:
-    """Return the side of the nearest lane that leads on farther than the host's own, however far ahead that ends."""
+def must_leave(host: HostState) -> Side | Literal[0]:
+    """Return on which side the nearest lane is that leads on farther than the host's own; 0 if none does.
+
+    However far ahead its own ends.
+    """
     ends_in_m = host.ends_in_m(host.lane)
     if math.isinf(ends_in_m):
-        return None
+        return 0
     farther = [lane for lane, metres in _ends_in_m(host).items() if metres > ends_in_m]
-    return _towards(farther, host) if farther else None
+    return _towards(farther, host) if farther else 0
 
 
 def stands_in_m(host: HostState) -> float:

@@ -45,8 +45,7 @@ class LettingIn:
         self.asks = False
         """Whether SUMO's drivers in a lane beside are asked to make room; SUMO may change lanes for it meanwhile."""
         self._before: dict[str, str] = {}  # parameters of its vehicle that are set, as they were
-        self._indicates = 0  # to which side it must leave its lane by now, ...
-        self._must_leave: int | None = None  # ... and however far ahead
+        self._told = {INDICATOR: "0", MUST_LEAVE: ""}  # what other hosts know of it
         self._in_from: list[Side] = []  # on which sides somebody must come into its lane
 
     # Others let it in.
@@ -57,21 +56,18 @@ class LettingIn:
         Returns:
             Whether `asks` has changed.
         """
-        self._indicate(side)
+        self._tell(INDICATOR, str(side))
         self._let_pass(side, speed_mps)
         return (side != 0 or self.asks) and self._ask_sumo(side, speed_mps)
 
-    def _indicate(self, side: int) -> None:
-        """Let other hosts know to which side it must leave its lane; 0: to none."""
-        if side != self._indicates:
-            self._indicates = side
-            libsumo.vehicle.setParameter(self._name, INDICATOR, str(side))
-
     def tell(self, must_leave: int | None) -> None:
         """Let other hosts know to which side its lane must be left, however far ahead; see `Command.must_leave`."""
-        if must_leave != self._must_leave:
-            self._must_leave = must_leave
-            libsumo.vehicle.setParameter(self._name, MUST_LEAVE, "" if must_leave is None else str(must_leave))
+        self._tell(MUST_LEAVE, "" if must_leave is None else str(must_leave))
+
+    def _tell(self, parameter: str, value: str) -> None:
+        if value != self._told[parameter]:
+            self._told[parameter] = value
+            libsumo.vehicle.setParameter(self._name, parameter, value)
 
     def _let_pass(self, side: int, speed_mps: float) -> None:
         """Where the host stands, have who stands so near behind it that it cannot move in front drive on past it.
@@ -159,8 +155,8 @@ class LettingIn:
     def _who_must_come(self, side: Side) -> tuple[Leader, float] | None:
         """Return who ahead in the lane on a side must come into the host's lane first, and how far on it stands.
 
-        A host stands as far before the end of its lane as this one would, SUMO's vehicles at the end; whoever stands
-        already waits where it is.
+        A vehicle that stands goes no farther. One that drives may go on to the end of its lane, and a host to as far
+        before it as this host would.
         """
         vehicle, towards = libsumo.vehicle, other(side)
         must = WANTS[towards] | STRATEGIC
