@@ -70,6 +70,7 @@ class Road:
     def step(self, steps=1):
         for _ in range(steps):
             command = self.adas.command(self.host, self.gaps, steps=1)
+            self.adas.note(1)
             self.commands.append(command)
             self.host = at(self.host.lane + command.cross, self.host)
 
@@ -503,6 +504,71 @@ def test_during_a_change_only_holding_or_turning_back_is_allowed(road):
     assert road.adas.allowed(road.host, free) == [True, False, False, False, False]
 
 
+# Settling in a lane.
+
+CROSSED_STEPS = 8
+"""After so many steps of a change the host is a vehicle of the next lane: 1.6 m - 0.25 m at 0.17 m a step."""
+SETTLED_STEPS = CROSSED_STEPS - 1 + 50
+"""... and after so many it has been crossing into it, or there, for 5 s."""
+
+
+def settling(host=MIDDLE, settle_s=5.0):
+    return Road(Adas(config.Adas(), start_mps=60.0 / KMH, settle_s=settle_s), host)
+
+
+@pytest.mark.parametrize(("there", "back"), [(LEFT, RIGHT), (RIGHT, LEFT)])
+def test_no_decision_takes_the_host_back_until_it_has_settled_in_its_lane(there, back):
+    road = settling()
+    road.decide(there)
+    road.step(CROSSED_STEPS)
+    assert road.host.lane != 2
+    road.decide(back)
+    road.finish()
+    assert road.counts == (1, 0, 1), "once over the border it is not turned round"
+    road.step(SETTLED_STEPS - 1 - len(road.commands))
+    assert not road.adas.allowed(road.host, free)[back]
+    road.decide(back)
+    assert (road.counts, road.adas.why) == ((1, 0, 2), "just left")
+    assert road.adas.allowed(road.host, free)[there], "farther on it may go"
+    road.step()
+    assert road.adas.allowed(road.host, free)[back]
+    road.decide(back)
+    road.finish()
+    assert road.counts == (2, 0, 2)
+
+
+def test_before_the_border_a_decision_turns_a_host_round_that_settles_later():
+    road = settling()
+    road.decide(LEFT)
+    road.step(CROSSED_STEPS - 1)
+    assert road.adas.allowed(road.host, free)[RIGHT]
+    road.decide(RIGHT)
+    road.finish()
+    assert (road.crossings, road.counts) == ([], (0, 1, 0))
+    assert road.adas.allowed(road.host, free)[LEFT], "it has not been there"
+
+
+def test_out_of_a_lane_that_ends_soon_the_host_goes_back_at_once():
+    road = settling(at(lane=3, to_edge_end_m=2000.0, leads_on_m=ENDING))
+    road.decide(RIGHT)
+    road.finish()
+    road.host = road.host._replace(to_edge_end_m=200.0)
+    assert road.adas.allowed(road.host, free)[LEFT]
+    road.step()
+    assert road.adas.side == TO_LEFT, "of its own accord"
+
+
+def test_in_several_steps_at_once_it_settles_as_long():
+    road = settling()
+    road.decide(LEFT)
+    road.step(CROSSED_STEPS)
+    road.finish()
+    road.adas.note(SETTLED_STEPS - 1 - len(road.commands))
+    assert not road.adas.allowed(road.host, free)[RIGHT]
+    road.adas.note(1)
+    assert road.adas.allowed(road.host, free)[RIGHT]
+
+
 def test_between_lanes_of_unequal_width_the_host_crosses_before_the_border_and_ends_in_the_centre(adas):
     wide = at(lane_width_m=4.5, to_left_m=3.85)
     adas.decide(LEFT, wide, free)
@@ -794,9 +860,9 @@ turns = st.lists(
 )
 
 
-def drive(turns, lane=2):
+def drive(turns, lane=2, settle_s=0.0):
     """Yield the road after every step of a drive through any decisions and any gaps."""
-    road = Road(Adas(config.Adas(), start_mps=60.0 / KMH), at(lane=lane))
+    road = settling(at(lane=lane), settle_s)
     for action, steps, (left, right) in turns:
         road.gaps = {1: left, -1: right}.__getitem__
         road.decide(action)
@@ -812,6 +878,16 @@ def test_whatever_happens_the_host_moves_sideways_steadily_and_stays_on_the_road
         assert 0.0 <= road.left_m <= 4 * LANE_M
         assert abs(road.left_m - before) <= STRIDE_M + 1e-9
         before = road.left_m
+
+
+@given(turns, st.sampled_from([0.5, 1.0, 3.0]))
+def test_whatever_happens_nobody_is_back_before_it_has_settled(turns, settle_s):
+    last, at_step = 0, -math.inf
+    for step, road in enumerate(drive(turns, settle_s=settle_s)):
+        cross = road.commands[-1].cross
+        if cross:
+            assert cross != -last or step - at_step >= round(settle_s / SECONDS_PER_STEP)
+            last, at_step = cross, step
 
 
 @given(turns)

@@ -278,6 +278,7 @@ POLICY_KEYS = "policy.hidden, policy.layers, policy.masked, policy.mode"
             "[adas]\nemergency_braking_mps2 = 9.5",
             "adas.emergency_braking_mps2: Input should be less than or equal to 9, got 9.5",
         ),
+        ("[adas]\nsettle_s = -1", "adas.settle_s: Input should be greater than or equal to 0 or 'by traffic', got -1"),
         ("[adas]\nacceleration_mps2 = inf", "adas.acceleration_mps2: Input should be a finite number, got inf"),
         ("[search]\nn_top = 17\nn_directions = 16", "search: n_top 17 exceeds n_directions 16"),
         ("[policy]\nlayers = 3", "policy.layers: Input should be 1 or 2, got 3"),

@@ -617,6 +617,22 @@ def test_a_host_of_the_demand_follows_the_route_that_it_is_given_on_its_way(make
     assert driven.collisions == 0
 
 
+@pytest.mark.parametrize(
+    ("is_made", "settle_s", "back_s"), [(False, "by traffic", 5.0), (False, 2.0, 2.0), (True, "by traffic", 0.0)]
+)
+def test_in_a_demand_a_host_settles_in_its_lane_before_it_goes_back(make, tmp_path, is_made, settle_s, back_s):
+    traffic = EMPTY if is_made else {"routes": on_ramp(tmp_path, ONE), "host": "one"}
+    env = make(world(network={"file": "onramp", "course": ["main1"]}, traffic=traffic, adas={"settle_s": settle_s}))
+    env.reset(seed=UNSEEN)
+    env.step(LEFT)
+    crossed, there = env.agent.n_steps, libsumo.vehicle.getLaneIndex(env.agent.host.name)
+    while libsumo.vehicle.getLaneIndex(env.agent.host.name) == there:
+        env.step(RIGHT)
+        assert env.agent.n_steps < 200, "it never goes back"
+    # Decided at full seconds and where the change there ended; it takes up to a second until it has crossed over again.
+    assert back_s <= (env.agent.n_steps - crossed) / 10 <= back_s + 2.0
+
+
 @pytest.mark.parametrize(("before_m", "brakes_mps2"), [(60.0, 4.5), (300.0, 0.0)])
 def test_a_single_host_leaves_a_lane_that_is_closed_or_drives_on_where_it_cannot_stop(
     make, tmp_path, before_m, brakes_mps2

@@ -52,6 +52,7 @@ class Agent:
         world: how it senses, how it drives, when its episode ends.
         hands_off: leave it to SUMO's own driver; see `HighwayEnv`.
         enters_as_traffic: whether its first set speed is no lower than the speed that it has entered with.
+        in_demand: whether it drives in a demand, and not in made traffic.
         keeps_trajectory: whether its observations, decisions and steps are kept for `earned` and `trajectory`.
     """
 
@@ -63,6 +64,7 @@ class Agent:
         *,
         hands_off: bool | str = False,
         enters_as_traffic: bool = False,
+        in_demand: bool = False,
         keeps_trajectory: bool = True,
     ) -> None:
         self.host = host
@@ -77,7 +79,9 @@ class Agent:
             self.adas = HandsOff(world.adas, keeps_limits=kind is None)
             host.hand_over(kind)
         else:
-            self.adas = Adas(world.adas, start_mps=self._start_mps(enters_as_traffic=enters_as_traffic))
+            start_mps = self._start_mps(enters_as_traffic=enters_as_traffic)
+            settle_s = world.adas.settles_s(in_demand=in_demand)
+            self.adas = Adas(world.adas, start_mps=start_mps, settle_s=settle_s)
         self.lidar = _lidar(world.lidar, stretch.road)
         self._layout = Layout(world.lidar, world.observation)
         self._passes = PassCounter(stretch.near_m)
@@ -233,6 +237,7 @@ class Agent:
         """Note that the last command was carried out, for so many steps."""
         self._left -= steps
         self.n_steps += steps
+        self.adas.note(steps)
         if self._keeps_trajectory:
             self._lane_changing += [self._was_changing] * steps
             self._limits_mps += [self.state.limit_mps] * steps

@@ -149,6 +149,7 @@ class HighwayEnv(gymnasium.Env[Floats, np.int64]):
             self.world,
             hands_off=self._hands_off,
             enters_as_traffic=self.demand.has_traffic and adas.starts_by_the_limit,
+            in_demand=self.demand.has_traffic,
         )
         if self._traffic is not None and self._decider_of is not None and traffic.driven:
             self.companions = Companions(

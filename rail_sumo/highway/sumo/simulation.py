@@ -81,6 +81,8 @@ class Simulation:
         outputs: Sequence[str] = (),
         limit_factor: float = 1.0,
     ) -> None:
+        self.in_demand = demand.has_traffic
+        """Whether a demand drives, and no traffic need be made."""
         self._sight = Sight()
         self._held = HeldVehicles()
         self._taken_over: dict[str, Inserted] = {}

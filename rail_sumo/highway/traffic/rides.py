@@ -183,6 +183,7 @@ class Rides:
             self._world,
             hands_off=self._hands_off,
             enters_as_traffic=self._world.adas.starts_by_the_limit,
+            in_demand=self._simulation.in_demand,
             keeps_trajectory=self._keeps_trajectory,
         )
         self.rides[car.name] = Ride(agent, decide)

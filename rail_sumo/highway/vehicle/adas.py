@@ -42,10 +42,12 @@ class Adas:
     Args:
         config: its limits.
         start_mps: the first set speed.
+        settle_s: how long after it has crossed over no decision takes the host back to the lane it came from.
     """
 
-    def __init__(self, config: config.Adas, *, start_mps: float) -> None:
+    def __init__(self, config: config.Adas, *, start_mps: float, settle_s: float = 0.0) -> None:
         self._config = config
+        self._settle_steps = round(settle_s / SECONDS_PER_STEP)
         self._set_speed = start_mps
         self._side: Side | None = None  # the side of the change under way, None while keeping the lane
         self._width = 0.0  # lateral distance from lane centre to lane centre of the change under way
@@ -53,6 +55,8 @@ class Adas:
         self._moved = 0.0  # how much of it lies behind the host
         self._crossed = False
         self._reversing = False
+        self._came_from: Side | None = None  # on which side the lane lies that it has last crossed over from
+        self._settles = 0  # for how many steps no decision takes it back there
         self._sumos_lane_changes = 0
         self.lane_changes = 0
         self.aborted_lane_changes = 0
@@ -153,6 +157,10 @@ class Adas:
             return command
         return command._replace(asks=way_on or 0, must_leave=lane_ends.must_leave(host))
 
+    def note(self, steps: int) -> None:
+        """Note that the last command was carried out, for so many steps."""
+        self._settles = max(self._settles - steps, 0)
+
     def _falling_in_mps(self, host: HostState, beside: Gaps) -> float:
         """Return the speed that opens a gap behind the vehicle ahead in a lane beside; inf if none is in sight.
 
@@ -196,7 +204,8 @@ class Adas:
     def _obstacle(self, side: Side, host: HostState, gaps: Callable[[int], Gaps]) -> Why:
         """Return what a change to this side may not begin for.
 
-        A lane that soon leads off the course is not open, nor one farther away from it.
+        A lane that soon leads off the course is not open, nor one farther away from it, nor for a while the one that
+        the host came from, unless it must go back.
         """
         if not _across(host, side):
             return "line" if host.rightmost_lane <= host.lane + side <= host.leftmost_lane else "no lane"
@@ -204,6 +213,8 @@ class Adas:
             return "room"
         if not lane_ends.may_enter(host, side):
             return "lane ends"
+        if self._settles and side == self._came_from and side != lane_ends.way_on(host):
+            return "just left"
         return "" if self._safe(host.speed_mps, gaps(side)) else "gap"
 
     def _may_turn_back(self, host: HostState, gaps: Callable[[int], Gaps]) -> bool:
@@ -251,7 +262,9 @@ class Adas:
         if cross and is_led_on and host.to_edge_end_m <= fastest * SECONDS_PER_STEP:
             cross, moved = 0, self._moved
         self._moved = moved
-        self._crossed ^= bool(cross)
+        if cross:
+            self._crossed = not self._crossed
+            self._came_from, self._settles = lane_ends.other(into), self._settle_steps
         lateral = side * (self._moved - (self._width if self._crossed else 0.0))
         if self._moved == (0.0 if self._reversing else self._width):
             if self._reversing:
@@ -365,6 +378,9 @@ class HandsOff:
     def decide(self, action: MetaAction, host: HostState, gaps: Callable[[int], Gaps]) -> MetaAction:
         """Ignore the decision and return KEEP."""
         return MetaAction.KEEP
+
+    def note(self, steps: int) -> None:
+        """Do nothing: of a lane change of SUMO's nothing is left to wait for."""
 
     def command(self, host: HostState, gaps: Callable[[int], Gaps], *, steps: int) -> Command:
         """Return one step of SUMO's own driving."""

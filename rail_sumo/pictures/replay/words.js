@@ -13,6 +13,7 @@ const REFUSALS = {
   gap: "refused, the gap is too short",
   room: "refused, too little road is left for it",
   "lane ends": "refused, that lane soon ends or leads elsewhere",
+  "just left": "refused, it has only just come from that lane",
   "under way": "not begun, a lane change is under way",
 };
 
