@@ -72,7 +72,7 @@ def test_no_driver_but_sumos_own_hit_anything_or_was_hit_and_who_is_masked_is_ne
 
 def test_the_table_of_the_study_of_shares_is_what_its_runs_come_to():
     kept = pd.read_parquet(CELLS.with_name("share.parquet"))
-    table = report.typed(kept.assign(stuck=0), shares.TRAFFIC_COLUMNS)  # a measure that came later, which is not told
+    table = report.typed(kept, shares.TRAFFIC_COLUMNS)
     text = (ROOT / "docs" / "share.md").read_text(encoding="utf-8")
     rows = shares.told_rows(table, shares.compared(table))
     assert len(rows) == 1 + 3 * 4
