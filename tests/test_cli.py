@@ -273,7 +273,8 @@ def test_a_sumocfg_brings_its_network_demand_and_options_and_what_is_ours_is_tol
     options += '<end v="9"/><step-length v="1"/>'
     (tmp_path / "a" / "my.sumocfg").write_text(f"<configuration>{options}</configuration>")
     note = "rail-sumo: does not use these options of 'a/my.sumocfg', and sets them itself: "
-    note += "end 9, step-length 1; steps take 0.1 s\n"
+    note += "end 9, step-length 1; steps take 0.1 s; traffic here may differ from that of your own runs with them, see "
+    note += "docs/roads.md\n"
     code, printed, err = rail_sumo("config", "--network", "a/my.sumocfg")
     (tmp_path / "read.toml").write_text(printed)
     world = config_file.load(tmp_path / "read.toml")
@@ -308,7 +309,7 @@ def test_what_an_evaluation_tells_is_kept_beside_its_tables(rail_sumo, tmp_path)
     assert unused.startswith(
         "rail-sumo does not use these options of 'one.sumocfg', and sets them itself: step-length 1"
     )
-    assert unused.endswith("steps take 0.1 s; traffic here may differ from that of your own runs with them")
+    assert unused.endswith("traffic here may differ from that of your own runs with them, see docs/roads.md")
     assert "demand 'one.rou.xml' is not in order of departure: 'v40' may enter late or never" in notes[0]
     assert notes[1].startswith("every episode drives the same car")
     assert notes[2:] == report.alike(pd.read_parquet(tmp_path / "out" / "episodes.parquet")) != []

@@ -221,6 +221,19 @@ def test_a_run_that_breaks_down_where_others_do_not_is_told_of():
     assert not list(cautions.breakdowns(pd.DataFrame(runs(40.0, 10.0))))  # which of two?
 
 
+def test_seeds_that_make_no_difference_are_told_of():
+    about = {"vehicles": "all", "setting": ""}
+    table = pd.DataFrame([
+        *(about | {"driver": "sumo", "share": 0.0, "seed": k, "speed_kmh": 40.0 + k, "vehkm": 9.0} for k in range(3)),
+        *(about | {"driver": "rule", "share": 0.5, "seed": k, "speed_kmh": 41.0, "vehkm": 9.0 + k} for k in range(3)),
+        *(about | {"driver": "rule", "share": 1.0, "seed": k, "speed_kmh": 42.0, "vehkm": 9.0} for k in range(3)),
+        about | {"driver": "acc", "share": 1.0, "seed": 0, "speed_kmh": 42.0, "vehkm": 9.0},  # one run is no interval
+    ])  # fmt: skip
+    (note,) = cautions.alike(table)
+    assert "every seed drove the same: rule at 100%: that is one run" in note
+    assert not list(cautions.alike(table[table["share"] < 1.0]))
+
+
 def test_a_road_that_locks_with_some_seeds_is_told_of():
     about = {"vehicles": "all", "setting": "", "teleports": 0}
     table = pd.DataFrame([
@@ -492,7 +505,8 @@ def test_who_finds_no_room_to_enter_is_told_of(tmp_path):
     world = one_lane(tmp_path, 'id="f" period="0.2"')
     late = small(world, tmp_path / "out", drivers=("acc",), shares=(1.0,), seeds=1)
     assert re.fullmatch(
-        r"vehicles still wait for room to enter at the end, (\d+ to|about) \d+ of them in the mean over seeds, by .*",
+        r"vehicles still wait for room to enter at the end \(column waiting\), in the mean over seeds from \d+ \(a.*\) "
+        r"to \d+ \(a.*\): where fewer have entered, .*",
         late.drive().notes[-1],
     )
     after = small(world, tmp_path / "after", drivers=("acc",), shares=(1.0,), seeds=1, warm_up_s=60.0)

@@ -33,10 +33,15 @@ def written(
     edges=frozenset("a"),
     teleported=(),
 ):
-    """Reports as SUMO writes them; samples are (time, vehicle, speed, lane, leader's gap, leader's speed)."""
+    """Reports as SUMO writes them; samples are (time, vehicle, speed, lane, leader's gap, leader's speed).
+
+    Each vehicle begins at the beginning of its lane, and drives on from sample to sample.
+    """
     columns = ["time", "id", "speed", "lane", "leaderGap", "leaderSpeed"]
-    frame = pd.DataFrame(samples, columns=columns).rename(columns={"time": "timestep_time"} | {
-        name: f"vehicle_{name}" for name in columns[1:]
+    frame = pd.DataFrame(samples, columns=columns)
+    frame["pos"] = 0.5 * (frame.groupby("id")["speed"].cumsum() - frame["speed"])
+    frame = frame.rename(columns={"time": "timestep_time"} | {
+        name: f"vehicle_{name}" for name in [*columns[1:], "pos"]
     })  # fmt: skip
     frame.to_csv(folder / "fcd.csv", sep=";", index=False)
     for name, rows in (("trips", trips), ("changes", changes), ("collisions", collisions)):
@@ -99,6 +104,31 @@ def test_speeds_vary_about_each_vehicles_own_mean(tmp_path):
     told = of(written(tmp_path, samples), "swings")
     assert told["driven"]["speed_std_kmh"] == pytest.approx(2.0 * 3.6)
     assert told["all"]["speed_std_kmh"] == pytest.approx(np.sqrt(2.0) * 3.6)
+
+
+def test_what_a_place_asks_of_everybody_is_no_variation_at_that_place(tmp_path):
+    entry = [10.0, 20.0, 30.0, 40.0, 40.0]  # everybody speeds up there, at 0, 5, 15, 30 and 50 m
+    alike = [row for k in range(3) for row in drives(f"car{k}", entry, from_s=10.0 * k)]
+    told = of(written(tmp_path, alike, until_s=100.0))["all"]
+    assert told["speed_std_kmh"] == pytest.approx(np.std(entry) * 3.6)
+    # The first three samples lie on the first 20 m, where the mean is 20 m/s: 10 less, as much, 10 more.
+    assert told["speed_std_at_place_kmh"] == pytest.approx(np.sqrt(200 / 5) * 3.6)
+
+
+def test_who_is_faster_than_others_everywhere_does_not_vary_at_a_place_and_who_meets_a_wave_does(tmp_path):
+    steady = drives("slow", [20.0] * 8) + drives("fast", [40.0] * 4)  # both over the same four times 20 m
+    reports = written(tmp_path, steady + drives("other", [20.0] * 8, from_s=5.0), until_s=100.0)
+    assert of(reports)["all"]["speed_std_at_place_kmh"] == pytest.approx(0.0)
+    (tmp_path / "wave").mkdir()
+    meets = drives("slow", [20.0] * 8) + drives("meets", [20.0] * 4 + [10.0] * 4 + [20.0] * 2, from_s=5.0)
+    told = of(written(tmp_path / "wave", meets, until_s=100.0), "meets")
+    # At 40 m, where one of them drives 20 m/s twice and the other 10 four times, the mean is 13.3 m/s.
+    theirs, wave = (
+        np.array([0.0] * 4 + [20 - 40 / 3] * 2 + [0.0] * 2),
+        np.array([0.0] * 4 + [10 - 40 / 3] * 4 + [0.0] * 2),
+    )
+    assert told["driven"]["speed_std_at_place_kmh"] == pytest.approx(np.std(wave) * 3.6)
+    assert told["others"]["speed_std_at_place_kmh"] == pytest.approx(np.std(theirs) * 3.6)
 
 
 @pytest.mark.parametrize(

@@ -72,15 +72,17 @@ def unused_of(network: str | None) -> tuple[str, ...]:
     left_out = sumocfg.read(Path(network))[1]
     if not left_out:
         return ()
-    moves = bool(sumocfg.MOVING & left_out.keys())
-    differs = "; traffic here may differ from that of your own runs with them" if moves else ""
-    return (f"rail-sumo {_unused(network, left_out)}{differs}",)
+    return (f"rail-sumo {_unused(network, left_out)}",)
 
 
 def _unused(network: str, left_out: Mapping[str, str]) -> str:
+    from rail_sumo.highway.network import sumocfg  # SUMO takes half a second to import
+
     options = ", ".join(option if "/" in value else f"{option} {value}" for option, value in left_out.items())
     steps = f"; steps take {SECONDS_PER_STEP:g} s" if "step-length" in left_out else ""
-    return f"does not use these options of '{network}', and sets them itself: {options}{steps}"
+    moves = bool(sumocfg.MOVING & left_out.keys())
+    differs = "; traffic here may differ from that of your own runs with them, see docs/roads.md" if moves else ""
+    return f"does not use these options of '{network}', and sets them itself: {options}{steps}{differs}"
 
 
 def tell(what: str) -> None:

@@ -35,6 +35,7 @@ def of_runs(table: pd.DataFrame, edges: pd.DataFrame) -> Iterator[str]:
     yield from stuck(table)
     yield from contacts(table)
     yield from breakdowns(table)
+    yield from alike(table)
     yield from emptied(edges)
     yield from losers(edges)
 
@@ -43,11 +44,14 @@ def backlog(table: pd.DataFrame) -> Iterator[str]:
     """Tell where vehicles found no room to enter, which no mean of those on the road shows."""
     waiting = shares.of_all_vehicles(table).groupby(shares.ARM)["waiting"].mean()
     if waiting.max() >= 1.0:
-        least = f"{waiting.min():.0f} to" if round(waiting.min()) < round(waiting.max()) else "about"
+        fewest, most = (
+            f"{number:.0f} ({shares.called(*arm)})"
+            for number, arm in ((waiting.min(), waiting.idxmin()), (waiting.max(), waiting.idxmax()))
+        )
+        n_waiting = f"from {fewest} to {most}" if round(waiting.min()) < round(waiting.max()) else f"about {most}"
         yield (
-            f"vehicles still wait for room to enter at the end, {least} {waiting.max():.0f} of them in the mean over "
-            f"seeds, by driver and share (column waiting); where fewer have entered, speeds are of less traffic, and "
-            "flow is less without a lower capacity"
+            f"vehicles still wait for room to enter at the end (column waiting), in the mean over seeds {n_waiting}: "
+            "where fewer have entered, speeds are of less traffic, and flow is less without a lower capacity"
         )
 
 
@@ -137,6 +141,21 @@ def breakdowns(table: pd.DataFrame) -> Iterator[str]:
         yield (
             f"traffic breaks down with some seeds (traffic.csv): {_listed(told)}: means and intervals are of unlike "
             "runs; tell how many broke down"
+        )
+
+
+def alike(table: pd.DataFrame) -> Iterator[str]:
+    """Tell where seeds make no difference, as where nothing is drawn: an interval over them tells nothing."""
+    runs = shares.of_all_vehicles(table)
+    measured = [name for name in shares.MEASURED if name in runs]
+    told = []
+    for arm, of_arm in runs.groupby(shares.ARM, sort=False):
+        if len(of_arm) > 1 and len(of_arm[measured].drop_duplicates()) == 1:
+            told.append(shares.called(*arm))
+    if told:
+        yield (
+            f"every seed drove the same: {_listed(told)}: that is one run, and its interval says nothing; vary the "
+            "demand, for example by --set 'traffic.options=[\"random-depart-offset=5\"]'"
         )
 
 

@@ -173,6 +173,7 @@ HEADINGS = {
     "density_vehpkm_lane": "density, vehicles a kilometre of lane",
     "speed_kmh": "speed, km/h",
     "speed_std_kmh": "standard deviation of a vehicle's speed, km/h",
+    "speed_std_at_place_kmh": "standard deviation of speeds at a place, km/h",
     "time_loss_s_per_km": "time loss, s a kilometre",
     "depart_delay_s": "delay of departure, s",
     "travel_time_s": "travel time of those that arrived, s",

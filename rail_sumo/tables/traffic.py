@@ -21,6 +21,8 @@ SAMPLED_S = AVERAGED_STEPS * SECONDS_PER_STEP
 """How often every vehicle's speed, lane and leader are noted: two samples tell the braking that may be hard."""
 LEADER_WITHIN_M = 200.0
 """How far ahead somebody counts as the leader."""
+PLACE_M = 20.0
+"""So much of a lane is one place, at which speeds of different times are compared."""
 
 TTC_S = 1.5
 DRAC_MPS2 = 3.4
@@ -44,6 +46,7 @@ MEASURES: dict[str, str] = {
     "density_vehpkm_lane": "float64",
     "speed_kmh": "float64",
     "speed_std_kmh": "float64",
+    "speed_std_at_place_kmh": "float64",
     "time_loss_s_per_km": "float64",
     "depart_delay_s": "float64",
     "travel_time_s": "float64",
@@ -101,7 +104,7 @@ class Run:
 
 def options(folder: Path, *, places: bool = False) -> tuple[str, ...]:
     """Return the options that have SUMO write what `measures` reads, and where everybody is, if that is wanted."""
-    attributes = "speed,lane,leaderGap,leaderSpeed" + (",x,y,angle,type" if places else "")
+    attributes = "speed,pos,lane,leaderGap,leaderSpeed" + (",x,y,angle,type" if places else "")
     return (
         *("--fcd-output", str(folder / "fcd.csv"), "--fcd-output.attributes", attributes),
         *("--fcd-output.max-leader-distance", str(LEADER_WITHIN_M), "--device.fcd.period", str(SAMPLED_S)),
@@ -210,7 +213,8 @@ class Reports:
             "flow_vehph": 3600 * there_m / (road_m * period_s) if road_m else np.nan,
             "density_vehpkm_lane": 1000 * there_s / (lanes_m * period_s) if lanes_m else np.nan,
             "speed_kmh": KMH * driven_m / driven_s if driven_s else np.nan,
-            "speed_std_kmh": KMH * _std_within(samples),
+            "speed_std_kmh": KMH * _std_within(samples, "speed"),
+            "speed_std_at_place_kmh": KMH * _std_within(samples, "faster"),
             "time_loss_s_per_km": per_vehkm(float(_time_loss_s(samples).sum())),
             "depart_delay_s": delays.mean() if len(delays) else np.nan,
             "travel_time_s": (arrived["arrival"] - arrived["depart"]).mean() if len(arrived) else np.nan,
@@ -230,6 +234,7 @@ _SAMPLED = {
     "timestep_time": "float64",
     "vehicle_id": "str",
     "vehicle_speed": "float64",
+    "vehicle_pos": "float64",
     "vehicle_lane": "str",
     "vehicle_leaderGap": "float64",
     "vehicle_leaderSpeed": "float64",
@@ -254,6 +259,7 @@ def _samples(run: Run) -> pd.DataFrame:
     read = read.sort_values(["id", "time"], kind="stable", ignore_index=True)
     on_edges = {lane for lane in read["lane"].unique() if lane.rpartition("_")[0] in run.edges}
     read["is_on_edges"] = read["lane"].isin(on_edges)
+    read["faster"] = read["speed"] - read.groupby(["lane", read["pos"] // PLACE_M])["speed"].transform("mean")
     limits = read["lane"].map({name: lane.limit_mps for name, lane in run.lanes.items()}).to_numpy(np.float64)
     factors, fastest = (read["id"].map({name: one[n] for name, one in run.vehicles.items()}) for n in (1, 2))
     read["wish"] = np.minimum(limits * factors.to_numpy(np.float64), fastest.to_numpy(np.float64))
@@ -303,11 +309,11 @@ def _lasts(holds: np.ndarray, is_next: np.ndarray, n_samples: int) -> np.ndarray
     return holds & (since == n_samples - 1)
 
 
-def _std_within(samples: pd.DataFrame) -> float:
-    """Return how much a vehicle's speed varies, in m/s: the root of the mean variance about each one's own mean."""
+def _std_within(samples: pd.DataFrame, column: str) -> float:
+    """Return how much something varies within vehicles: the root of the mean variance about each one's own mean."""
     if not len(samples):
         return np.nan
-    deviation = samples["speed"] - samples.groupby("id")["speed"].transform("mean")
+    deviation = samples[column] - samples.groupby("id")[column].transform("mean")
     return float(np.sqrt((deviation**2).mean()))
 
 
