@@ -243,6 +243,18 @@ def test_a_sweep_tells_by_type_and_where_vehicles_brake_hard(tmp_path):
     assert len(list(report_page._edges(edges.assign(hard_brakings=0)))) == 3
 
 
+def test_a_run_that_was_interrupted_is_told_of(tmp_path):
+    done = assets.driver("rail")
+    report_page.write([done], tmp_path / "done.html")
+    assert "go on with --resume" not in (tmp_path / "done.html").read_text()
+    shutil.copytree(done, tmp_path / "run", ignore=shutil.ignore_patterns("manifest.json"))
+    config = tmp_path / "run" / "config.toml"
+    config.write_text(config.read_text().replace("iterations = 160\n", "iterations = 170\n"))
+    report_page.write([tmp_path / "run"], tmp_path / "page.html")
+    told = html.escape(f"'{tmp_path / 'run'}' has done 160 of 170 iterations; go on with --resume")
+    assert f'<td class="words">{told}</td>' in (tmp_path / "page.html").read_text()
+
+
 def test_a_sweep_and_a_study_show_their_tables_and_figures(tmp_path):
     sweep, study = tmp_path / "sweep", tmp_path / "study"
     (sweep / "figures").mkdir(parents=True)
@@ -265,6 +277,8 @@ def test_a_sweep_and_a_study_show_their_tables_and_figures(tmp_path):
     figures = {name: [1.0, 3.0] for name in ("speed_kmh", "overtakes", "lane_changes", "refused_decisions")}
     pd.DataFrame({"system": ["rail-2"] * 2, "seed": [0, 0]} | figures).to_parquet(study / "cells.parquet")
     pd.DataFrame({"system": ["rail-2"], "ratio": [0.99]}).to_csv(study / "table1.csv", index=False)
+    table = "|  | speed |\n| --- | ---: |\n| RAIL | 70.1 |\n| &emsp;of the expert's | 0.99 |\n"
+    (study / "table1.md").write_text(f"{table}\nOver trainings.\n\n**Fewer than 5 trainings**: wide.\n")
     report_page.write([sweep, study], tmp_path / "page.html")
     page = (tmp_path / "page.html").read_text()
     assert rows_of(page, "All vehicles") == [[("a 50 %", "a 50 %"), ("1,234 ± 5", "1,234 ± 5")]]
@@ -279,7 +293,12 @@ def test_a_sweep_and_a_study_show_their_tables_and_figures(tmp_path):
     [of_sweep, of_study] = re.findall(r'<div class="figures">(.*?)</div>', page)
     assert re.findall(r'alt="(.*?)"', of_sweep) == [HEADINGS["flow_vehph"], HEADINGS["co2_g_per_vehkm"]]
     assert re.findall(r'alt="(.*?)"', of_study) == ["speed"]
-    assert [row[1][0] for row in rows_of(page, "Table 1")] == ["0.99"]
+    assert [[told for _, told in row] for row in rows_of(page, "Table 1")] == [
+        ["RAIL", "70.1"],
+        ["\u2003of the expert&#x27;s", "0.99"],
+    ]
+    assert "<caption><span>Over trainings. Fewer than 5 trainings: wide.</span></caption>" in page
+    assert 'data-value="0.99"' in page  # of all figures
     assert 'data-value="2.0"' in page  # the training's mean
 
 

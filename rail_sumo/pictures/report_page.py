@@ -16,7 +16,7 @@ from rail_sumo.errors import InputError
 from rail_sumo.files import check_file, whole_file
 from rail_sumo.pictures import markup, plot, plot_episodes
 from rail_sumo.records import MetaAction
-from rail_sumo.run_directory import CLONE, CONFIG, PROGRESS
+from rail_sumo.run_directory import CLONE, CONFIG, PROGRESS, RunDirectory
 from rail_sumo.tables import report
 from rail_sumo.tables.report import CONTACTS, DECISIONS, EPISODES, ORIGIN, SUMMARY, WORLD
 from rail_sumo.tables.shares import ARM, EDGES, HEADINGS, TOLD, called, rates
@@ -25,7 +25,7 @@ from rail_sumo.tables.traffic import ALL
 _PARTS = Path(__file__).with_name("report")
 
 CELLS, TRAFFIC, DIFFERENCES = "cells.parquet", "traffic.parquet", "differences.parquet"
-TABLE1, SWEEP = "table1.csv", "sweep.md"
+TABLE1, TABLE1_TOLD, SWEEP = "table1.csv", "table1.md", "sweep.md"
 KINDS = {CONFIG: "run", EPISODES: "evaluation", CELLS: "study", TRAFFIC: "sweep"}
 """What a folder is, by the first of these files that it has."""
 
@@ -107,11 +107,17 @@ def _about(folder: Path) -> Iterator[str]:
 
 def _origin(folder: Path) -> Iterator[str]:
     file = next((folder / name for name in (ORIGIN, assets.MANIFEST) if (folder / name).is_file()), None)
-    if file is None:
-        return
+    told = _told_in(file) if file else []
+    if (folder / CLONE).is_file() and (unfinished := RunDirectory(folder).unfinished):
+        told.append(("note", unfinished))
+    if told:
+        yield markup.table(pd.DataFrame(told, columns=["", "what was run"]), is_sortable=False)
+
+
+def _told_in(file: Path) -> list[tuple[str, str]]:
     try:
         about = json.loads(file.read_text(encoding="utf-8"))
-        told = [
+        return [
             (key.removesuffix("s") if key == "notes" else key, str(line))
             for key in ("command", "seed", "interrupted", "notes", "rail-sumo", "libsumo")
             if key in about
@@ -119,7 +125,6 @@ def _origin(folder: Path) -> Iterator[str]:
         ]
     except (ValueError, TypeError) as error:
         raise InputError(f"'{file}' is damaged: {error}") from None
-    yield markup.table(pd.DataFrame(told, columns=["", "what was run"]), is_sortable=False)
 
 
 def _evaluation(episodes: pd.DataFrame, summary: pd.DataFrame) -> Iterator[str]:
@@ -187,8 +192,12 @@ def _decisions(decisions: pd.DataFrame, *, n_networks: int) -> Iterator[str]:
 
 
 def _study(folder: Path) -> Iterator[str]:
+    if (folder / TABLE1_TOLD).is_file():
+        text = (folder / TABLE1_TOLD).read_text(encoding="utf-8").replace("&emsp;", "\u2003").replace("**", "")
+        notes = " ".join(line for line in text.splitlines() if line and not line.startswith("|"))
+        yield "<h3>Table 1</h3>" + markup.table(_rows_of_markdown(text), notes, is_sortable=False)
     if (folder / TABLE1).is_file():
-        yield "<h3>Table 1</h3>" + markup.table(_read(folder / TABLE1))
+        yield markup.details("All figures of Table 1", markup.table(_read(folder / TABLE1)))
     yield _figures(folder, "figure_*.svg")
     cells = _read(folder / CELLS)
     by = [name for name in ("system", "trajectories", "seed") if name in cells]
@@ -262,9 +271,15 @@ def _edges(edges: pd.DataFrame) -> Iterator[str]:
 def _of_markdown(text: str) -> tuple[pd.DataFrame, str]:
     """Return the table of a Markdown page, and what the page says of it: its heading and first paragraph."""
     heading, _, told, *_ = text.splitlines()
-    rows = [line.strip().strip("|").split("|") for line in text.splitlines() if line.startswith("|")]
-    heads, _, *body = [[cell.strip() for cell in row] for row in rows]
-    return pd.DataFrame(body, columns=heads), f"{heading.removeprefix('# ')}. {told}"
+    return _rows_of_markdown(text), f"{heading.removeprefix('# ')}. {told}"
+
+
+def _rows_of_markdown(text: str) -> pd.DataFrame:
+    rows = [
+        line.strip().removeprefix("|").removesuffix("|").split("|") for line in text.splitlines() if line[:1] == "|"
+    ]
+    heads, _, *body = [[cell.strip(" ") for cell in row] for row in rows]
+    return pd.DataFrame(body, columns=heads)
 
 
 def _figures(folder: Path, pattern: str) -> str:
