@@ -524,4 +524,6 @@ def test_who_was_told_how_far_work_is_is_told_that_it_is_done(capsys, monkeypatc
 def test_the_doctor_exits_with_1_where_something_needed_is_amiss(rail_sumo, monkeypatch, is_needed, code):
     found = doctor.Finding("numpy", "not installed", "pip install rail-sumo", is_needed)
     monkeypatch.setattr(doctor, "examine", lambda: iter([found]))
-    assert rail_sumo("doctor") == (code, f"{'numpy':32} not installed  -> pip install rail-sumo\n", "")
+    closing = "" if is_needed else "Nothing is amiss; what is not installed is for extras alone.\n"
+    told = f"{'numpy':32} not installed  -> pip install rail-sumo\n{closing}"
+    assert rail_sumo("doctor") == (code, told, "")

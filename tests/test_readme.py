@@ -91,7 +91,7 @@ def test_the_configuration_shown_is_one_and_changes_what_it_names(tmp_path):
 @pytest.mark.slow
 def test_the_python_shown_runs_in_an_empty_folder(tmp_path):
     (training,) = shown("docs/start.md", "python")
-    edges, one_run = shown("docs/share.md", "python")
+    edges, waves, one_run = shown("docs/share.md", "python")
     over_trainings, apart = shown("docs/learners.md", "python")
     (environment,) = shown("README.md", "python")
     (floating_car_data,) = shown("docs/watch.md", "python")
@@ -108,9 +108,11 @@ def test_the_python_shown_runs_in_an_empty_folder(tmp_path):
     (command,) = re.findall(r"# rail-sumo (eval .*)", floating_car_data)
     run(tmp_path, "-c", "from rail_sumo import cli; cli.main()", *command.split(), "--episodes", "1")
     small = "--network onramp --routes onramp --seeds 1 --duration 60 --warm-up 30"
-    share = f"sweep share 0 0.5 --driver road-rail --out share {small}"
+    share = f"sweep share 0 0.5 --driver road-rail --fcd --out share {small}"
     run(tmp_path, "-c", "from rail_sumo import cli; cli.main()", *share.split())
     assert {"share", "type", "van", "edge"} <= set(run(tmp_path, "-c", edges).split())
+    run(tmp_path, "-c", waves)
+    assert (tmp_path / "waves.png").stat().st_size > 10_000
     run(tmp_path, "-c", one_run.replace("seed(4,", "seed(0,").replace("720.0", "90.0"))
     alone, rows = pd.read_parquet(tmp_path / "seed4.parquet"), pd.read_csv(tmp_path / "share" / "traffic.csv")
     speed_kmh = 3.6 * alone.loc[alone["timestep_time"].between(30.0, 89.9), "vehicle_speed"].mean()

@@ -74,12 +74,14 @@ def examine() -> None:
     """Tell versions and what is missing, drive for a moment, and say what to do about what is amiss."""
     from rail_sumo import doctor
 
-    is_ill = False
+    findings = []
     for found in doctor.examine():
         print(f"{found.what:32} {found.state}{f'  -> {found.advice}' if found.advice else ''}")
-        is_ill |= bool(found.advice) and found.is_needed
-    if is_ill:
+        findings.append(found)
+    amiss = [found for found in findings if found.advice]
+    if any(found.is_needed for found in amiss):
         raise typer.Exit(1)
+    print(f"Nothing is amiss{'; what is not installed is for extras alone' if amiss else ''}.")
 
 
 @network.command()
