@@ -294,6 +294,33 @@ def test_a_sumocfg_brings_its_network_demand_and_options_and_what_is_ours_is_tol
     assert "begin_s = 9.0" in rail_sumo("config", "--network", "a/my.sumocfg", *others)[1]
 
 
+def test_what_the_command_line_takes_from_a_sumocfg_is_told(rail_sumo, tmp_path):
+    for kind, name in ((assets.network, "my.net.xml"), (assets.routes, "my.rou.xml")):
+        (tmp_path / name).write_bytes(kind("highway3").read_bytes())
+    for name in ("signals.add.xml", "works.add.xml"):
+        (tmp_path / name).write_text("<additional/>")
+    options = '<n value="my.net.xml"/><r value="my.rou.xml"/><a value="signals.add.xml"/><scale v="0.5"/>'
+    options += '<step-length v="0.1"/><time-to-teleport v="120"/>'
+    (tmp_path / "my.sumocfg").write_text(f"<configuration>{options}</configuration>")
+
+    def told(*more):
+        code, _, err = rail_sumo("config", "--network", "my.sumocfg", *more)
+        assert code == 0
+        return err
+
+    assert told() == told("--set", "traffic.begin_s=9", "--set", "traffic.scale=2.0") == ""
+    place = "on the command line takes the place of what 'my.sumocfg' says, and without effect is"
+    additional = told("--set", 'traffic.additional=["works.add.xml"]')
+    assert additional == f"rail-sumo: traffic.additional {place} signals.add.xml; to keep that, name it too\n"
+    assert told("--set", 'traffic.additional=["works.add.xml", "signals.add.xml"]') == ""
+    assert f"traffic.options {place} scale=0.5; to" in told("--set", 'traffic.options=["time-to-teleport=120"]')
+    assert f"traffic.routes {place} my.rou.xml; to" in told("--routes", "highway3")
+    arguments = ("--routes", "highway3", "--episodes", "1", "--set", "episode.duration_s=5", "--out", "out")
+    rail_sumo("eval", "keep", "--network", "my.sumocfg", *arguments)
+    notes = json.loads((tmp_path / "out" / "evaluation.json").read_text())["notes"]
+    assert notes[0] == f"traffic.routes {place} my.rou.xml; to keep that, name it too"
+
+
 def test_what_an_evaluation_tells_is_kept_beside_its_tables(rail_sumo, tmp_path):
     path = tmp_path / "one.rou.xml"
     cars = "".join(f'<vehicle id="v{at}" type="slow" depart="{at}" route="on"/>' for at in (50, 40))

@@ -23,14 +23,17 @@ def stops(signal, speed_kmh=60.0):
         ("r", 100.0, 1.0, True),
         ("r", 100.0, 60.0, True),
         ("u", 100.0, 60.0, True),
-        ("y", 49.0, 3.0, False),  # 60 km/h is 50 m in 3 s
+        ("y", 48.7, 3.0, False),  # 60 km/h is 50 m in 3 s, and to stop 2.5 m before the line takes 3.01 m/s²
+        ("y", 48.9, 3.0, True),  # 2.99
         ("Y", 51.0, 3.0, True),
+        ("Y", 90.0, 6.0, True),
+        ("y", 40.0, 2.0, True),  # it would be too late
         ("r", STOPPING_M - 0.1, 60.0, False),
         ("r", STOPPING_M + 0.1, 60.0, True),
         ("y", STOPPING_M - 0.1, 0.1, False),
     ],
 )
-def test_the_host_stops_at_red_and_at_a_yellow_that_it_would_miss(state, ahead_m, left_s, expected):
+def test_the_host_stops_at_red_and_at_a_yellow_that_it_would_miss_or_stops_at_easily(state, ahead_m, left_s, expected):
     assert stops(Signal(ahead_m, state, left_s)) == expected
 
 

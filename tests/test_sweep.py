@@ -309,14 +309,14 @@ def test_edges_where_some_lose_far_more_time_though_all_together_do_not_are_told
             for edge, loss_s in losses_s.items()
         ]
 
-    as_they_are = rows("sumo", 0.0, {"main": 2000.0, "ramp": 300.0, ":junction": 10.0})
-    ramp_loses = rows("rule", 1.0, {"main": 1000.0, "ramp": 700.0, ":junction": 500.0})
+    as_they_are = rows("sumo", 0.0, {"main": 2000.0, "ramp": 800.0, ":junction": 10.0})
+    ramp_loses = rows("rule", 1.0, {"main": 1000.0, "ramp": 2000.0, ":junction": 500.0})
     (note,) = cautions.losers(pd.DataFrame(as_they_are + ramp_loses))
-    assert note.endswith("(edges.parquet): rule at 100%: ramp (30 to 70 s/km)")
-    all_lose = rows("rule", 1.0, {"main": 4000.0, "ramp": 700.0})
-    a_little = rows("rule", 1.0, {"main": 1000.0, "ramp": 550.0})
-    from_nothing = rows("rule", 1.0, {"main": 2000.0, "ramp": 300.0, "new": 900.0})
-    few = rows("rule", 1.0, {"main": 1000.0, "ramp": 700.0}, n=10)
+    assert note.endswith("(edges.parquet): rule at 100%: ramp (8 to 20), while all together go from 94 to 117 s/km")
+    all_lose = rows("rule", 1.0, {"main": 4000.0, "ramp": 2000.0})
+    a_little = rows("rule", 1.0, {"main": 1000.0, "ramp": 1700.0})
+    from_nothing = rows("rule", 1.0, {"main": 2000.0, "ramp": 800.0, "new": 2000.0})
+    few = rows("rule", 1.0, {"main": 1000.0, "ramp": 2000.0}, n=10)
     for others in (all_lose, a_little, from_nothing, few, []):
         assert not list(cautions.losers(pd.DataFrame(as_they_are + others)))
     assert not list(cautions.losers(pd.DataFrame(ramp_loses)))  # nothing to compare with

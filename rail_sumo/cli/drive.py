@@ -22,11 +22,11 @@ from rail_sumo.cli.options import (
     Workers,
     WorldFile,
     network_of,
+    notes_of,
     overrides_of,
     require_page,
     tell,
     typed,
-    unused_of,
     workers_of,
 )
 from rail_sumo.cli.progress import progress_bars, show
@@ -78,7 +78,7 @@ def evaluate(
     n_workers = workers_of(workers)
     world, who, doubts = _found(policies, overrides_of(network, routes, overrides), config_path)
 
-    known = [*unused_of(network), *doubts]  # before it is driven: files may change meanwhile
+    known = [*notes_of(network, routes, overrides), *doubts]  # before it is driven: files may change meanwhile
 
     def keep(tables: "Tables", whole: Path, **more: str) -> None:
         tables.save(whole)

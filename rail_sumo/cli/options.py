@@ -4,7 +4,7 @@ import json
 import os
 import shlex
 import sys
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
@@ -42,16 +42,15 @@ Overwrite = Annotated[bool, typer.Option("--overwrite", help="Replace what is th
 def overrides_of(network: str | None, routes: list[str] | None, overrides: list[str] | None) -> list[str]:
     """Return the options that choose a world as overrides of the configuration."""
     world: dict[str, Any] = {}
-    own = set(map(config_file.key_of, overrides or ()))
-    own |= {"traffic.routes"} if routes else set()
     if network and is_configuration(Path(network)):
         from rail_sumo.highway.network import sumocfg  # SUMO takes half a second to import
 
+        own = _given(routes, overrides)
         world, left_out = sumocfg.read(Path(network))
         sumocfg.require_files(Path(network), {key: value for key, value in world.items() if key not in own})
-        if left_out:
-            tell(_unused(network, left_out))
-        if {"traffic.routes", "traffic.additional"}.isdisjoint(own | world.keys()):
+        for line in (*_unused(network, left_out), *_replaced(network, world, own)):
+            tell(line)
+        if {"traffic.routes", "traffic.additional"}.isdisjoint(own.keys() | world.keys()):
             tell(f"'{network}' names no route-files: traffic is made around the host")
     elif network:
         world = {"network.file": network}
@@ -63,26 +62,45 @@ def overrides_of(network: str | None, routes: list[str] | None, overrides: list[
     return [*(f"{key}={json.dumps(value, ensure_ascii=False)}" for key, value in world.items()), *(overrides or ())]
 
 
-def unused_of(network: str | None) -> tuple[str, ...]:
-    """Return what to know of a configuration of SUMO's: its options that are not used, if there are any."""
+def notes_of(network: str | None, routes: list[str] | None, overrides: list[str] | None) -> tuple[str, ...]:
+    """Return what to know of a configuration of SUMO's: what of it is not used, if anything."""
     if not network or not is_configuration(Path(network)):
         return ()
     from rail_sumo.highway.network import sumocfg  # SUMO takes half a second to import
 
-    left_out = sumocfg.read(Path(network))[1]
-    if not left_out:
-        return ()
-    return (f"rail-sumo {_unused(network, left_out)}",)
+    world, left_out = sumocfg.read(Path(network))
+    unused = (f"rail-sumo {line}" for line in _unused(network, left_out))
+    return (*unused, *_replaced(network, world, _given(routes, overrides)))
 
 
-def _unused(network: str, left_out: Mapping[str, str]) -> str:
+def _given(routes: list[str] | None, overrides: list[str] | None) -> dict[str, str]:
+    """Return the keys that are set on the command line, with what they are set to, as it is written."""
+    own = {config_file.key_of(one): one.partition("=")[2] for one in overrides or ()}
+    return ({"traffic.routes": json.dumps(routes, ensure_ascii=False)} if routes else {}) | own
+
+
+def _unused(network: str, left_out: Mapping[str, str]) -> Iterator[str]:
+    """Tell which options of a configuration of SUMO's are ours to set."""
     from rail_sumo.highway.network import sumocfg  # SUMO takes half a second to import
 
+    if not left_out:
+        return
     options = ", ".join(option if "/" in value else f"{option} {value}" for option, value in left_out.items())
     steps = f"; steps take {SECONDS_PER_STEP:g} s" if "step-length" in left_out else ""
     moves = bool(sumocfg.MOVING & left_out.keys())
     differs = "; traffic here may differ from that of your own runs with them, see docs/roads.md" if moves else ""
-    return f"does not use these options of '{network}', and sets them itself: {options}{steps}{differs}"
+    yield f"does not use these options of '{network}', and sets them itself: {options}{steps}{differs}"
+
+
+def _replaced(network: str, world: Mapping[str, Any], own: Mapping[str, str]) -> Iterator[str]:
+    """Tell what of a configuration of SUMO's does not hold, since the command line names something in its place."""
+    for key in sorted(own.keys() & world.keys()):
+        lost = [one for one in world[key] if Path(one).name not in own[key]] if isinstance(world[key], list) else []
+        if lost:
+            yield (
+                f"{key} on the command line takes the place of what '{network}' says, and without effect is "
+                f"{', '.join(lost)}; to keep that, name it too"
+            )
 
 
 def tell(what: str) -> None:

@@ -16,9 +16,9 @@ from rail_sumo.cli.options import (
     NetworkFile,
     Overrides,
     Routes,
+    notes_of,
     overrides_of,
     typed,
-    unused_of,
     workers_of,
 )
 from rail_sumo.cli.progress import progress_bars
@@ -129,7 +129,7 @@ def sweep(
         workers=n_workers,
         command=typed(),
         road=network or "",
-        known=unused_of(network),
+        known=notes_of(network, routes, overrides),
     )
     try:
         with progress_bars() as bars:

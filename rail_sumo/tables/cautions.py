@@ -16,9 +16,9 @@ BROKEN_DOWN = 0.5
 """A run has broken down if its mean speed is less than this share of the median of its other seeds'."""
 FEWER, AT_LEAST = 0.5, 20
 """Traffic has gone from an edge where less than this share of the vehicles is left, if there were so many."""
-SLOWER, SLOWER_S_PER_KM, EVEN = 2.0, 30.0, 1.5
-"""Vehicles lose on an edge where their time loss is so many times that of share 0, and so much more; where that of all
-together is this many times as long, they lose everywhere."""
+SLOWER, SLOWER_S, EVEN = 2.0, 10.0, 1.5
+"""Vehicles lose on an edge where each loses so many times as long there as at share 0, and so much longer; where the
+time loss of all together is this many times as long, they lose everywhere."""
 
 
 def of_runs(table: pd.DataFrame, edges: pd.DataFrame) -> Iterator[str]:
@@ -181,26 +181,25 @@ def emptied(edges: pd.DataFrame) -> Iterator[str]:
 
 
 def losers(edges: pd.DataFrame) -> Iterator[str]:
-    """Tell where vehicles lose far more time than at share 0, though all together do not: a mean hides who loses."""
-    by, roads = [*shares.ARM, "edge"], _outside_junctions(edges)
-    counts = shares.told_once(roads).groupby(by)["n_vehicles"].sum()
-    losses = shares.rates(roads, by).set_index(by)["time_loss_s_per_km"].sort_index()
+    """Tell where vehicles lose far more time than at share 0, and all together do not: a mean hides who loses."""
+    once = shares.told_once(_outside_junctions(edges))
+    sums = once.groupby([*shares.ARM, "edge"])[["n_vehicles", "time_loss_s"]].sum()
+    each = (sums["time_loss_s"] / sums["n_vehicles"])[sums["n_vehicles"] >= AT_LEAST]
     of_all = shares.rates(edges, shares.ARM).set_index(shares.ARM)["time_loss_s_per_km"]
-    by_edge = losses[counts >= AT_LEAST].unstack("edge").reindex(of_all.index)
+    by_edge = each.unstack("edge").reindex(of_all.index)
     told = []
     for arm in of_all.index:
         as_they_are = (shares.AS_THEY_ARE, arm[1], 0.0)
         if arm == as_they_are or as_they_are not in of_all.index or of_all[arm] > EVEN * of_all[as_they_are]:
             continue
         before, now = by_edge.loc[as_they_are], by_edge.loc[arm]
-        worst = (now - before)[(now > SLOWER * before) & (now > before + SLOWER_S_PER_KM)].nlargest(MOST_TOLD).index
+        worst = (now - before)[(now > SLOWER * before) & (now > before + SLOWER_S)].nlargest(MOST_TOLD).index
         if len(worst):
-            where = ", ".join(f"{edge} ({before[edge]:.0f} to {now[edge]:.0f} s/km)" for edge in worst)
-            told.append(f"{shares.called(*arm)}: {where}")
+            where = ", ".join(f"{edge} ({before[edge]:.0f} to {now[edge]:.0f})" for edge in worst)
+            of_both = f"{of_all[as_they_are]:.0f} to {of_all[arm]:.0f} s/km"
+            told.append(f"{shares.called(*arm)}: {where}, while all together go from {of_both}")
     if told:
-        yield (
-            f"some lose where all together do not: time loss on edges, from share 0 on (edges.parquet): {_listed(told)}"
-        )
+        yield f"some lose far more time than at share 0, in s a vehicle on an edge (edges.parquet): {_listed(told)}"
 
 
 def _outside_junctions(edges: pd.DataFrame) -> pd.DataFrame:

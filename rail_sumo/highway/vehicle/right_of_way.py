@@ -10,6 +10,8 @@ NOT_GREEN = YELLOW | frozenset("ru")
 
 SIGNAL_SHORT_M = 2.5
 """How far before a signal's stop line the host stands. SUMO's own distance is 1 m, and it brakes for that harder."""
+EASY_MPS2 = 3.0
+"""Whoever can stop at yellow by such braking, does: 10 feet/s², by which traffic engineers time it (ITE)."""
 LINE_SHORT_M = 0.3
 """How far before any other line the host stands. SUMO stops vehicles that must wait 0.1 m before it, ..."""
 CREEP_MPS = 0.2
@@ -47,10 +49,12 @@ class Signal(NamedTuple):
         return self.ahead_m - SIGNAL_SHORT_M, 0.0
 
     def stops(self, speed_mps: float, *, braking_mps2: float) -> bool:
-        """Return whether the host stops: at red, and at yellow if it would not get there in time; while it can."""
+        """Return whether the host stops: at red, and at yellow if that is easy or it were too late; while it can."""
         if self.is_green or speed_mps**2 / (2 * braking_mps2) > self.ahead_m:
             return False
-        return not self.is_yellow or speed_mps * self.left_s < self.ahead_m
+        stands_in_m, _ = self.stop
+        is_easy = speed_mps**2 / (2 * EASY_MPS2) <= stands_in_m
+        return not self.is_yellow or is_easy or speed_mps * self.left_s < self.ahead_m
 
 
 class GiveWay(NamedTuple):
