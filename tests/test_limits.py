@@ -11,6 +11,7 @@ from driving import ACCELERATE, EMPTY, KEEP, LEFT, MERGE, RIGHT, UNSEEN, always,
 
 from rail_sumo import config
 from rail_sumo.errors import InputError
+from rail_sumo.highway import trial
 from rail_sumo.highway.network import road
 from rail_sumo.highway.sumo.simulation import HOST, Simulation
 from rail_sumo.records import KMH, Command
@@ -117,6 +118,27 @@ def signalled(tmp_path):
         text = text.replace(f'via=":b_0_{lane}"', f'via=":b_0_{lane}" tl="b" linkIndex="{lane}"')
     path.write_text(text)
     return path
+
+
+@pytest.mark.parametrize(
+    ("kind", "phases", "shows"),
+    [
+        ("static", {"rr": 80, "GG": 900}, ""),
+        ("static", {"rr": 400, "GG": 9}, "shows red for 400 s on end"),
+        ("static", {"rG": 400, "GG": 9}, "shows red for 400 s on end"),
+        ("static", {"rr": 150, "GG": 9, "yy": 3, "ru": 200}, "shows red for 353 s on end"),  # round the cycle's end
+        ("static", {"rg": 20, "yO": 20}, "never shows green"),
+        ("actuated", {"rr": 400, "GG": 9}, ""),  # as long as nobody comes
+        ("actuated", {"rG": 20, "rr": 20}, "never shows green"),
+    ],
+)
+def test_the_check_tells_of_lights_that_keep_somebody_waiting_for_very_long(signalled, kind, phases, shows):
+    told = "".join(f'<phase duration="{seconds}" state="{state}"/>' for state, seconds in phases.items())
+    text = re.sub(r'<phase duration="80".*?(?=</tlLogic>)', told, signalled.read_text())
+    signalled.write_text(text.replace('type="static"', f'type="{kind}"'))
+    warnings = trial.check(world(network={"file": str(signalled)}, traffic=EMPTY)).warnings
+    lights = [one for one in warnings if one.startswith("traffic light")]
+    assert lights == ([f"traffic light 'b' {shows} to somebody on wide: vehicles may stand there"] if shows else [])
 
 
 @pytest.mark.parametrize("hands_off", [False, True])

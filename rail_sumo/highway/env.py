@@ -311,6 +311,10 @@ class HighwayEnv(gymnasium.Env[Floats, np.int64]):
         """How many vehicles are due to depart, and find no room yet."""
         return self._under_way().n_waiting
 
+    def long_reds(self) -> dict[str, tuple[float, list[str]]]:
+        """Return for which traffic lights somebody waits for very long, how long, and on which edges."""
+        return self._under_way().long_reds()
+
     @property
     def flows_vehph(self) -> dict[str, float]:
         """The flow on every edge of the course now, see `Host.flows_vehph`."""

@@ -97,6 +97,7 @@ def check(world: Config, *, seed: int = 0) -> Findings:
             *_shortness(env),
             *road.warnings(env.stretch.road),
             *demand.warnings(env.demand, world.traffic),
+            *_long_reds(env),
             *_backlog(env),
             *_slowness(env),
             *_solitude(env),
@@ -145,12 +146,19 @@ def _shortness(env: HighwayEnv) -> Iterator[str]:
         )
 
 
+def _long_reds(env: HighwayEnv) -> Iterator[str]:
+    """Tell which traffic lights keep somebody waiting for so long that a demand may never get through."""
+    for light, (seconds, edges) in env.long_reds().items():
+        shows = "never shows green" if math.isinf(seconds) else f"shows red for {seconds:.0f} s on end"
+        yield f"traffic light '{light}' {shows} to somebody on {', '.join(edges)}: vehicles may stand there"
+
+
 def _backlog(env: HighwayEnv) -> Iterator[str]:
     """Tell where more vehicles of the demand are to depart than find room."""
     if env.demand.has_traffic and env.n_waiting >= MANY_WAITING:
         yield (
             f"when the host enters, {env.n_waiting} vehicles of the demand wait for room to enter: it is more than the "
-            f"road takes, and what is measured depends on how many have entered"
+            f"road, or its traffic lights, let through, and what is measured depends on how many have entered"
         )
 
 

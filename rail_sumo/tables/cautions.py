@@ -101,7 +101,8 @@ def locks(table: pd.DataFrame) -> Iterator[str]:
     if len(locked):
         yield (
             f"SUMO took vehicles off the road that had stood too long (column teleports), with the seeds "
-            f"{_seeds(locked)}: the road may be locked there, and means are of unlike runs"
+            f"{_seeds(locked)}: the road may be locked there, or a light stay red (rail-sumo network check tells), and "
+            "means are of unlike runs"
         )
 
 

@@ -15,7 +15,7 @@ from rail_sumo.highway.network import sumo_xml
 from rail_sumo.highway.network.demand import Demand
 from rail_sumo.highway.network.lanes import MAJOR
 from rail_sumo.highway.network.road import Road
-from rail_sumo.highway.sumo import inserted
+from rail_sumo.highway.sumo import inserted, signals
 from rail_sumo.highway.sumo.closings import Closings
 from rail_sumo.highway.sumo.held import HeldVehicles
 from rail_sumo.highway.sumo.inserted import Inserted
@@ -447,6 +447,10 @@ class Simulation:
     def now_s(self) -> float:
         """The demand's time."""
         return libsumo.simulation.getTime()
+
+    def long_reds(self) -> dict[str, tuple[float, list[str]]]:
+        """Return for which traffic lights somebody waits for very long, how long, and on which edges."""
+        return signals.long_reds(self.lanes())
 
     @property
     def n_waiting(self) -> int:

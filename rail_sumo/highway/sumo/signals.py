@@ -1,0 +1,52 @@
+"""Traffic lights that keep somebody waiting for very long, as a program may that was made by hand."""
+
+import math
+from collections.abc import Mapping
+from itertools import groupby
+from typing import Any
+
+import libsumo
+
+from rail_sumo.records import Lane
+
+LONG_S = 300.0
+"""Whoever stands for so long is taken off the road by SUMO, unless a demand says otherwise."""
+STOPS = frozenset("ruyY")
+"""SUMO's letters for red, red with yellow, and yellow."""
+STATIC = 0
+"""SUMO's number for programs that keep to their phases' durations."""
+
+
+def long_reds(lanes: Mapping[str, Lane]) -> dict[str, tuple[float, list[str]]]:
+    """Return by traffic light for how many seconds it keeps somebody waiting, and on which edges, where that is long.
+
+    Args:
+        lanes: all lanes; of those that are not open to cars nothing is told.
+    """
+    found = {}
+    for light in libsumo.trafficlight.getIDList():
+        program = libsumo.trafficlight.getProgram(light)
+        logics = [one for one in libsumo.trafficlight.getAllProgramLogics(light) if one.programID == program]
+        waits_s: dict[str, float] = {}
+        for number, links in enumerate(libsumo.trafficlight.getControlledLinks(light) if logics else ()):
+            seconds = _longest_red_s(logics[0], number)
+            for lane, onto, _ in links:
+                if seconds > LONG_S and all(one in lanes and lanes[one].is_open for one in (lane, onto)):
+                    edge = lane.rpartition("_")[0]
+                    waits_s[edge] = max(waits_s.get(edge, 0.0), seconds)
+        if waits_s:
+            found[light] = max(waits_s.values()), sorted(waits_s)
+    return found
+
+
+def _longest_red_s(logic: Any, link: int) -> float:
+    """Return how long a link is red on end, inf for ever; of a program that answers to traffic the latter alone."""
+    shown = [(phase.state[link] in STOPS, phase.duration) for phase in logic.phases if link < len(phase.state)]
+    if not any(stops for stops, _ in shown):
+        return 0.0
+    if all(stops for stops, _ in shown):
+        return math.inf
+    if logic.type != STATIC:
+        return 0.0
+    runs = groupby(shown + shown, key=lambda one: one[0])  # it goes round
+    return max(sum(seconds for _, seconds in run) for stops, run in runs if stops)
