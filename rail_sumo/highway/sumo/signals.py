@@ -23,19 +23,21 @@ def long_reds(lanes: Mapping[str, Lane]) -> dict[str, tuple[float, list[str]]]:
     Args:
         lanes: all lanes; of those that are not open to cars nothing is told.
     """
-    found = {}
-    for light in libsumo.trafficlight.getIDList():
-        program = libsumo.trafficlight.getProgram(light)
-        logics = [one for one in libsumo.trafficlight.getAllProgramLogics(light) if one.programID == program]
-        waits_s: dict[str, float] = {}
-        for number, links in enumerate(libsumo.trafficlight.getControlledLinks(light) if logics else ()):
-            seconds = _longest_red_s(logics[0], number)
-            for lane, onto, _ in links:
-                if seconds > LONG_S and all(one in lanes and lanes[one].is_open for one in (lane, onto)):
-                    edge = lane.rpartition("_")[0]
-                    waits_s[edge] = max(waits_s.get(edge, 0.0), seconds)
-        if waits_s:
-            found[light] = max(waits_s.values()), sorted(waits_s)
+    waits = {light: _waits_s(light, lanes) for light in libsumo.trafficlight.getIDList()}
+    return {light: (max(by_edge.values()), sorted(by_edge)) for light, by_edge in waits.items() if by_edge}
+
+
+def _waits_s(light: str, lanes: Mapping[str, Lane]) -> dict[str, float]:
+    """Return by edge for how long a light keeps somebody waiting there, where that is long."""
+    running, programs = libsumo.trafficlight.getProgram(light), libsumo.trafficlight.getAllProgramLogics(light)
+    logic = next(one for one in programs if one.programID == running)
+    found: dict[str, float] = {}
+    for number, links in enumerate(libsumo.trafficlight.getControlledLinks(light)):
+        seconds = _longest_red_s(logic, number)
+        for lane, onto, _ in links:
+            if seconds > LONG_S and all(one in lanes and lanes[one].is_open for one in (lane, onto)):
+                edge = lane.rpartition("_")[0]
+                found[edge] = max(found.get(edge, 0.0), seconds)
     return found
 
 
