@@ -286,7 +286,8 @@ def _check_layout(path: Path, columns: Sequence[str], features: Sequence[str]) -
     difference = f"no '{lacking[0]}'" if lacking else f"also '{next(n for n in given if n not in features)}'"
     raise InputError(
         f"{_named(path)} have {len(given)} features ({difference}), the configuration wants {len(features)}; "
-        f"set [lidar] and [observation] as they were recorded, or {_AGAIN}"
+        f"set [lidar] and [observation] as they were recorded, or {_AGAIN} --driver rule, who drives with any senses, "
+        "or of an expert that senses so (rail-sumo expert train)"
     )
 
 
