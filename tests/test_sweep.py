@@ -265,12 +265,22 @@ def test_runs_in_which_somebody_stands_on_a_free_road_are_told_of():
     about = {"vehicles": "all", "setting": ""}
     table = pd.DataFrame([
         *(about | {"driver": "sumo", "share": 0.0, "seed": seed, "stuck": n} for seed, n in enumerate((2, 0, 1))),
-        about | {"driver": "sumo", "share": 1.0, "seed": 0, "stuck": 2},  # told once, of share 0
+        about | {"driver": "sumo", "share": 0.5, "seed": 0, "stuck": 2},  # told once, of share 0
+        *(about | {"driver": "rule", "share": 0.5, "seed": seed, "stuck": 3 * (seed == 1)} for seed in range(3)),
         *(about | {"driver": "rule", "share": 1.0, "seed": seed, "stuck": 0} for seed in range(3)),
     ])  # fmt: skip
-    (note,) = cautions.stuck(table)
-    assert "a free road ahead (column stuck): as they are in 2 of 3 runs: those behind lost" in note
-    assert not list(cautions.stuck(table[table["driver"] == "rule"]))
+    rows = [
+        *(("sumo", share, "others", edge, n) for share in (0.0, 0.5) for edge, n in (("main", 1), ("ramp", 2))),
+        *(("rule", 0.5, kind, "ramp", n) for kind, n in (("others", 2), ("driven", 1))),
+        *(("rule", 1.0, "driven", edge, 0) for edge in ("main", "ramp")),
+    ]
+    edges = pd.DataFrame(rows, columns=["driver", "share", "vehicles", "edge", "stuck"]).assign(setting="")
+    (note,) = cautions.stuck(table, edges)
+    told = (
+        "as they are in 2 of 3 runs (0 of 3 driven, most on ramp); rule at 50% in 1 of 3 runs (1 of 3 driven, most on"
+    )
+    assert f"a free road ahead (column stuck): {told} ramp): those behind lost" in note
+    assert not list(cautions.stuck(table[table["share"] == 1.0], edges))
 
 
 def test_runs_in_which_vehicles_touch_are_told_of():

@@ -5,10 +5,11 @@ import re
 from pathlib import Path
 
 import pytest
-from driving import EMPTY, world
+from driving import EMPTY, on_ramp, world
 
 from rail_sumo.errors import InputError
 from rail_sumo.highway import trial
+from rail_sumo.highway.network import road
 
 
 def test_the_check_tells_of_a_demand_that_never_comes_along_the_course(two_roads):
@@ -109,6 +110,26 @@ def test_the_flow_along_the_course_is_the_demands(tmp_path):
     assert found.as_json["edges"][0]["flow_vehph"] == round(found.flows_vehph["highway"])
     assert found.watched_s == found.as_json["flows_watched_s"] == pytest.approx(60.0, abs=3.0)
     assert trial.check(world()).flows_vehph == {}
+
+
+def test_the_check_tells_of_routes_that_are_too_short_for_a_host(tmp_path):
+    cars = "".join(
+        f'<flow id="{route}" type="car" route="{route}" begin="0" end="300" period="5" departLane="best"/>'
+        for route in ("through", "off")
+    )
+    routes = on_ramp(tmp_path, cars)
+
+    def told(shortest_m, host="replaces"):
+        traffic = {"routes": routes, "host": host, "shortest_route_m": shortest_m}
+        there = world(network={"file": "onramp", "course": ["main1"]}, traffic=traffic)
+        return [one for one in trial.check(there).warnings if one.startswith("no car on")]
+
+    whole_m = road.load("onramp", ("main1", "main3")).length_m
+    (only,) = told(whole_m - 100.0)
+    assert only.startswith(
+        "no car on 1 of the 2 routes that are driven when the host enters is ever the host: they are"
+    )
+    assert told(500.0) == told(whole_m + 1000.0) == told(whole_m - 100.0, "through.0") == []
 
 
 def test_the_check_tells_of_more_vehicles_than_the_road_takes(tmp_path):

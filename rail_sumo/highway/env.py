@@ -311,6 +311,10 @@ class HighwayEnv(gymnasium.Env[Floats, np.int64]):
         """How many vehicles are due to depart, and find no room yet."""
         return self._under_way().n_waiting
 
+    def routes_m(self) -> list[float]:
+        """Return how long each of the routes is that anybody drives now."""
+        return self._under_way().routes_m()
+
     def long_reds(self) -> dict[str, tuple[float, list[str]]]:
         """Return for which traffic lights somebody waits for very long, how long, and on which edges."""
         return self._under_way().long_reds()

@@ -12,6 +12,7 @@ from rail_sumo.highway.env import HighwayEnv
 from rail_sumo.highway.network import demand, road
 from rail_sumo.highway.network.road import Road
 from rail_sumo.highway.stretch import Stretch
+from rail_sumo.highway.traffic import entry
 from rail_sumo.records import KMH, SECONDS_PER_STEP, MetaAction
 
 MANY_WAITING = 10
@@ -98,6 +99,7 @@ def check(world: Config, *, seed: int = 0) -> Findings:
             *road.warnings(env.stretch.road),
             *demand.warnings(env.demand, world.traffic),
             *_long_reds(env),
+            *_short_routes(env),
             *_backlog(env),
             *_slowness(env),
             *_solitude(env),
@@ -143,6 +145,18 @@ def _shortness(env: HighwayEnv) -> Iterator[str]:
         yield (
             f"the road ends {stretch.drivable_m:.0f} m after the host's start, and so will episodes of up to "
             f"{farthest_m:.0f} m; set episode.course_m to {math.floor(stretch.drivable_m)} or less"
+        )
+
+
+def _short_routes(env: HighwayEnv) -> Iterator[str]:
+    """Tell where cars are never the host since their routes are short, while others are."""
+    shortest_m = env.world.traffic.shortest_route_m
+    routes_m = env.routes_m() if entry.is_drawn(env.world) and env.demand.has_traffic else []
+    n_short = sum(length_m < shortest_m for length_m in routes_m)
+    if 0 < n_short < len(routes_m):
+        yield (
+            f"no car on {n_short} of the {len(routes_m)} routes that are driven when the host enters is ever the host: "
+            f"they are shorter than {shortest_m:g} m (traffic.shortest_route_m)"
         )
 
 

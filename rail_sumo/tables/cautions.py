@@ -4,7 +4,7 @@ from collections.abc import Iterator, Sequence
 
 import pandas as pd
 
-from rail_sumo.tables import shares
+from rail_sumo.tables import shares, traffic
 
 MOST_TOLD = 4
 """A note names so many groups of runs at most."""
@@ -32,7 +32,7 @@ def of_runs(table: pd.DataFrame, edges: pd.DataFrame) -> Iterator[str]:
     yield from growth(table)
     yield from full_starts(table)
     yield from locks(table)
-    yield from stuck(table)
+    yield from stuck(table, edges)
     yield from contacts(table)
     yield from breakdowns(table)
     yield from alike(table)
@@ -106,16 +106,24 @@ def locks(table: pd.DataFrame) -> Iterator[str]:
         )
 
 
-def stuck(table: pd.DataFrame) -> Iterator[str]:
-    """Tell in which runs vehicles stood on a free road, as two of SUMO's do that wait for each other."""
+def stuck(table: pd.DataFrame, edges: pd.DataFrame) -> Iterator[str]:
+    """Tell in which runs who stood on a free road, and where, as two of SUMO's do that wait for each other."""
     runs = shares.of_all_vehicles(table)
     some = runs.assign(some=runs["stuck"] > 0).groupby(shares.ARM, sort=False)["some"].agg(["sum", "size"])
-    told = [f"{shares.called(*arm)} in {n} of {n_runs} runs" for arm, n, n_runs in some.itertuples(name=None) if n]
+    standing = shares.told_once(edges)
+    standing = standing.assign(driven=standing["stuck"].where(standing["vehicles"] == traffic.DRIVEN, 0))
+    by_arm = standing.groupby(shares.ARM)
+    told = []
+    for arm, n, n_runs in some[some["sum"] > 0].itertuples(name=None):
+        of_arm = by_arm.get_group(arm)
+        by_edge = of_arm.groupby("edge")["stuck"].sum()
+        who = f"{of_arm['driven'].sum()} of {by_edge.sum()} driven"
+        told.append(f"{shares.called(*arm)} in {n} of {n_runs} runs ({who}, most on {by_edge.idxmax()})")
     if told:
         yield (
             f"vehicles stood for 30 s and longer with a free road ahead (column stuck): {_listed(told)}: those behind "
-            "lost that time too, and where it happens at share 0 alone, part of what driven cars gain is that; sweep "
-            "--fcd shows it"
+            "lost that time too. Where it happens at share 0 alone, part of what driven cars gain is that, and where "
+            "with driven cars alone, of what they lose: tell how many runs locked; sweep --fcd shows it"
         )
 
 
@@ -176,8 +184,8 @@ def emptied(edges: pd.DataFrame) -> Iterator[str]:
             told.append(f"{shares.called(driver, setting, share)}: {where}")
     if told:
         yield (
-            f"far fewer vehicles come to some edges than at share 0 (edges.parquet): {_listed(told)}: they may stand "
-            "before, or have not come so far"
+            f"far fewer vehicles come to some edges than at share 0 (edges.parquet; all seeds together): "
+            f"{_listed(told)}: they may stand before, or have not come so far"
         )
 
 

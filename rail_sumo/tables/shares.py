@@ -153,7 +153,7 @@ def rates(edges: pd.DataFrame, by: list[str]) -> pd.DataFrame:
         by: its columns that make a group.
     """
     sums = told_once(edges).groupby(by, sort=False)[list(traffic.SUMS)].sum()
-    counted = [name for name in traffic.SUMS if name not in ("vehicle_s", "vehkm", "time_loss_s")]
+    counted = [name for name in traffic.SUMS if name not in ("vehicle_s", "vehkm", "time_loss_s", "stuck")]
     return pd.DataFrame({
         "vehkm": sums["vehkm"],
         "speed_kmh": 3600 * sums["vehkm"] / sums["vehicle_s"],

@@ -70,6 +70,7 @@ SUMS: dict[str, str] = {
     "hard_brakings": "int64",
     "ttc_below_1_5s": "int64",
     "drac_above_3_4": "int64",
+    "stuck": "int64",
 }
 """What is summed for each edge, in order, with its pandas types."""
 
@@ -169,7 +170,12 @@ class Reports:
     @cached_property
     def _sums(self) -> pd.DataFrame:
         """`SUMS` by the vehicles' `id`, with their `type`, and `edge`."""
-        counts = {"hard_brakings": "brakes_hard", "ttc_below_1_5s": "ttc_short", "drac_above_3_4": "drac_high"}
+        counts = {
+            "hard_brakings": "brakes_hard",
+            "ttc_below_1_5s": "ttc_short",
+            "drac_above_3_4": "drac_high",
+            "stuck": "is_stuck",
+        }
         samples = self._samples.assign(
             vehicle_s=SAMPLED_S,
             vehkm=SAMPLED_S / 1000 * self._samples["speed"],

@@ -457,6 +457,11 @@ class Simulation:
         """How many vehicles are due to depart, and find no room yet."""
         return len(libsumo.simulation.getPendingVehicles())
 
+    def routes_m(self) -> list[float]:
+        """Return how long each of the routes is that anybody drives now."""
+        routes = {tuple(libsumo.vehicle.getRoute(name)) for name in libsumo.vehicle.getIDList()}
+        return [sum(libsumo.lane.getLength(f"{edge}_0") for edge in route) for route in routes]
+
     def edges_awaited(self) -> Iterator[str]:
         """Yield the edges of the routes of those who are due to depart, and find no room yet."""
         for name in libsumo.simulation.getPendingVehicles():
