@@ -305,7 +305,7 @@ def test_an_edge_that_traffic_no_longer_comes_to_is_told_of():
         *rows("keep", 0.5, 1, main=90, exit=14),
     ])  # fmt: skip
     (note,) = cautions.emptied(edges)
-    assert "than at share 0 (edges.parquet; all seeds together): rule at 50%: exit (9 of 60): they may stand before" in note
+    assert "(edges.parquet; all seeds together): rule at 50%: exit (9 of 60): they may stand before" in note
     assert not list(cautions.emptied(edges[edges["driver"] != "rule"]))
     assert not list(cautions.emptied(edges[edges["driver"] != "sumo"]))  # nobody was on the road
 
