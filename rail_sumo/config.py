@@ -90,7 +90,7 @@ def _share_of_limit(text: str) -> str:
 LimitShare = Annotated[str, AfterValidator(_share_of_limit)]
 FASTEST_CAR_MPS = 200.0 / KMH
 """What a car can do, as SUMO has it; networks write a higher limit where a road has none."""
-SETTLE_S = 5.0
+SETTLE_S = 10.0
 """See `Adas.settle_s`; SUMO's own drivers hardly ever go back sooner."""
 
 
@@ -244,8 +244,8 @@ class Adas(_Section):
     lateral_speed_mps: Annotated[float, Field(ge=0.5, le=3.0)] = 1.7
     """Sideways, while changing lanes."""
     settle_s: Annotated[float, Field(ge=0.0, le=60.0)] | Literal["by traffic"] = "by traffic"
-    """How long no decision takes the host back to the lane that it has crossed over from. A number, or by traffic: 5 in
-    your demand; 0 in made traffic, where a decision may reverse a lane change until it is complete, as in the paper.
+    """How long no decision takes the host back to the lane that it has crossed over from. A number, or by traffic: 10
+    in your demand; 0 in made traffic, where a decision may reverse a lane change until it is complete, as in the paper.
     Out of a lane that does not lead on it goes at once."""
 
     def settles_s(self, *, in_demand: bool) -> float:

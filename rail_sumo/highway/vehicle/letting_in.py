@@ -7,6 +7,7 @@ import libsumo
 from rail_sumo import config
 from rail_sumo.highway.vehicle import acc, neighbours
 from rail_sumo.highway.vehicle.acc import Leader
+from rail_sumo.highway.vehicle.hard_braking import HARD_MPS2
 from rail_sumo.highway.vehicle.lane_ends import LEFT, RIGHT, STANDS_BEFORE_M, Side, other
 from rail_sumo.highway.vehicle.neighbours import Neighbours
 from rail_sumo.highway.vehicle.whereabouts import to_lane_end_m
@@ -103,8 +104,9 @@ class LettingIn:
         between a slower vehicle behind and a faster one ahead, it would change at once; there the host does not ask.
         Where others come to drive so in the very same step SUMO takes that gap, and the host is in the next lane.
 
-        Nor does it ask while a vehicle ahead means to move into its own lane too close: SUMO takes a vehicle that
-        insists so little for one that gives way, and would let that happen at any gap.
+        Nor does it ask while a vehicle ahead means to move into its own lane too close, or would have it brake hard if
+        it did: SUMO takes a vehicle that insists so little, and brakes, for one that gives way, and would let that
+        happen at any gap, in the very step in which that vehicle comes to mean to.
         """
         asks = side != 0 and self._needs_room(side, speed_mps) and not self._is_cut_in_on(speed_mps)
         if asks == self.asks:
@@ -127,15 +129,20 @@ class LettingIn:
         )
 
     def _is_cut_in_on(self, mps: float) -> bool:
-        """Whether the next vehicle ahead in a lane beside means to move into its lane closer than SUMO finds safe."""
+        """Whether the next vehicle ahead in a lane beside means to move into its lane closer than SUMO finds safe.
+
+        Or would be in its way there, whatever it means to do.
+        """
         vehicle = libsumo.vehicle
         for side in (LEFT, RIGHT):
             name, gap_m = self._beside.ahead(side) or ("", math.inf)
-            if (
-                name
-                and _means(name, other(side)) & WANTS[other(side)]
-                and gap_m < vehicle.getSecureGap(self._name, mps, vehicle.getSpeed(name), vehicle.getDecel(name))
-            ):
+            if not name:
+                continue
+            slow_mps = vehicle.getSpeed(name)
+            if max(mps - slow_mps, 0.0) ** 2 > 2 * HARD_MPS2 * gap_m:
+                return True
+            means = _means(name, other(side)) & WANTS[other(side)]
+            if means and gap_m < vehicle.getSecureGap(self._name, mps, slow_mps, vehicle.getDecel(name)):
                 return True
         return False
 
