@@ -618,7 +618,7 @@ def test_a_host_of_the_demand_follows_the_route_that_it_is_given_on_its_way(make
 
 
 @pytest.mark.parametrize(
-    ("is_made", "settle_s", "back_s"), [(False, "by traffic", 5.0), (False, 2.0, 2.0), (True, "by traffic", 0.0)]
+    ("is_made", "settle_s", "back_s"), [(False, "by traffic", 10.0), (False, 2.0, 2.0), (True, "by traffic", 0.0)]
 )
 def test_in_a_demand_a_host_settles_in_its_lane_before_it_goes_back(make, tmp_path, is_made, settle_s, back_s):
     traffic = EMPTY if is_made else {"routes": on_ramp(tmp_path, ONE), "host": "one"}

@@ -75,6 +75,31 @@ def test_a_waiting_host_wants_nothing_of_who_stands_too_near_behind_until_that_o
         assert wants()
 
 
+@pytest.mark.parametrize(("gap_m", "slow_mps", "asks"), [(12.0, 0.0, False), (18.0, 0.0, True), (12.0, 8.0, True)])
+def test_the_host_does_not_ask_beside_somebody_who_would_have_it_brake_hard(gap_m, slow_mps, asks):
+    """Of who asks and brakes SUMO's drivers take any gap: one that stood pulled out 6 m ahead of a host at 38 km/h.
+
+    From 10 m/s it takes 14.3 m to stop by 3.5 m/s².
+    """
+    course = road.load("onramp", ("on1", "merge1", "main2"))
+    with Simulation(course.net_file, seed=1) as simulation:
+        simulation.lay_course(course, Adas(), sees_m=300.0)
+        simulation.add_host(["merge1", "main2"], lane=0, front_m=100.0, speed_mps=10.0)
+        libsumo.route.add("main", ["merge1", "main2"])
+        front_m = 100.0 + gap_m + libsumo.vehicletype.getLength("rail_sumo_host")
+        libsumo.vehicle.add(
+            "slow", "main", "rail_sumo_host", departLane="1", departPos=f"{front_m:.2f}", departSpeed="0"
+        )
+        simulation.wait_for_host()
+        libsumo.vehicle.setSpeedMode("slow", 0)
+        libsumo.vehicle.setSpeed("slow", slow_mps)
+        libsumo.vehicle.setLaneChangeMode("slow", 0)
+        simulation.run(Command(10.0, asks=1))
+        simulation.run(Command(10.0, asks=1))
+        insists = float(libsumo.vehicle.getParameter(HOST, "laneChangeModel.lcAssertive"))
+        assert (insists < 1e-6) == asks
+
+
 def test_there_is_such_a_lane():
     merge = road.load("onramp", ("on1", "merge1", "main2")).edges[1]
     assert (merge.n_lanes, merge.leads_on_m[0]) == (4, 0.0)
