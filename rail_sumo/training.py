@@ -112,7 +112,7 @@ def other_expert(config: Config, compares: str = "the table at the end compares 
     expert = expert_input(config)["train.expert"]
     if content == expert:
         return
-    asked = f", whom {config.train.learner} asks too" if learner.asks_the_expert else ""
+    asked = f", and {config.train.learner} asks that one too" if learner.asks_the_expert else ""
     named = f"the expert that train.expert names, {_told(config.train.expert, expert)}{asked}"
     if content or driver not in ("", "expert", config.train.expert):
         yield (

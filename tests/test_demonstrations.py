@@ -125,7 +125,8 @@ def test_the_file_names_its_columns_and_tells_where_it_is_from(tmp_path):
     [
         (
             "lidar.max_range_m=60.0",
-            "were recorded with lidar.max_range_m = 100.0, not 60.0; set it as it was, or record",
+            "were recorded with lidar.max_range_m = 100.0, not 60.0; set it as it was, or record "
+            "them again with: rail-sumo expert record --driver rule, who drives with any senses, or of an expert that",
         ),
         ("lidar.road_edges=false", "were recorded with lidar.road_edges = True, not False"),
         ("episode.decision_period_s=0.5", "were recorded with episode.decision_period_s = 1.0, not 0.5"),

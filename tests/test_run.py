@@ -844,7 +844,7 @@ def test_whom_the_table_compares_with_is_told_unless_it_made_the_demonstrations(
     begins = f"the demonstrations {said}, and the table at the end compares with {named}"
     assert [line[: len(begins)] for line in told] == ([begins] if said else [])
     asked = list(training.other_expert(small.changed(train={"learner": "dagger"})))
-    assert [f"{named}, whom dagger asks too" in line for line in asked] == [True] * len(told)
+    assert [f"{named}, and dagger asks that one too" in line for line in asked] == [True] * len(told)
     of_a_study = list(training.other_expert(small, "ratios and 'told apart' are to"))
     assert [f", and ratios and 'told apart' are to {named}" in line for line in of_a_study] == [True] * len(told)
 

@@ -156,7 +156,7 @@ def _short_routes(env: HighwayEnv) -> Iterator[str]:
     if 0 < n_short < len(routes_m):
         yield (
             f"no car on {n_short} of the {len(routes_m)} routes that are driven when the host enters is ever the host: "
-            f"they are shorter than {shortest_m:g} m (traffic.shortest_route_m)"
+            f"they are shorter than {shortest_m:g} m (traffic.shortest_route_m), unless others depart too seldom"
         )
 
 

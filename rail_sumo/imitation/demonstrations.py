@@ -30,6 +30,9 @@ DRIVER_SHA256 = "driver_sha256"
 """The key, in `about`, of the SHA-256 of the recorded driver's weights or module; see `roster.content_of`."""
 
 _AGAIN = "record them again with: rail-sumo expert record"
+_OF_ANOTHER = (
+    f"{_AGAIN} --driver rule, who drives with any senses, or of an expert that senses so (rail-sumo expert train)"
+)
 
 
 @dataclass(frozen=True)
@@ -268,7 +271,7 @@ def _check_recording(path: Path, table: pa.Table, demonstrating: Mapping[str, ob
         raise InputError(f"{_named(path)} tell of their recording what cannot be read ({error}); {_AGAIN}") from None
     mismatch = first_difference(recording, demonstrating)
     if mismatch:
-        raise InputError(f"{_named(path)} were recorded with {mismatch}; set it as it was, or {_AGAIN}")
+        raise InputError(f"{_named(path)} were recorded with {mismatch}; set it as it was, or {_OF_ANOTHER}")
 
 
 def _check_layout(path: Path, columns: Sequence[str], features: Sequence[str]) -> None:
@@ -286,8 +289,7 @@ def _check_layout(path: Path, columns: Sequence[str], features: Sequence[str]) -
     difference = f"no '{lacking[0]}'" if lacking else f"also '{next(n for n in given if n not in features)}'"
     raise InputError(
         f"{_named(path)} have {len(given)} features ({difference}), the configuration wants {len(features)}; "
-        f"set [lidar] and [observation] as they were recorded, or {_AGAIN} --driver rule, who drives with any senses, "
-        "or of an expert that senses so (rail-sumo expert train)"
+        f"set [lidar] and [observation] as they were recorded, or {_OF_ANOTHER}"
     )
 
 

@@ -7,12 +7,11 @@ from typing import Any
 
 import libsumo
 
+from rail_sumo.highway.vehicle.right_of_way import NOT_GREEN
 from rail_sumo.records import Lane
 
 LONG_S = 300.0
 """Whoever stands for so long is taken off the road by SUMO, unless a demand says otherwise."""
-STOPS = frozenset("ruyY")
-"""SUMO's letters for red, red with yellow, and yellow."""
 STATIC = 0
 """SUMO's number for programs that keep to their phases' durations."""
 
@@ -35,7 +34,7 @@ def _waits_s(light: str, lanes: Mapping[str, Lane]) -> dict[str, float]:
     for number, links in enumerate(libsumo.trafficlight.getControlledLinks(light)):
         seconds = _longest_red_s(logic, number)
         for lane, onto, _ in links:
-            if seconds > LONG_S and all(one in lanes and lanes[one].is_open for one in (lane, onto)):
+            if seconds > LONG_S and lanes[lane].is_open and lanes[onto].is_open:
                 edge = lane.rpartition("_")[0]
                 found[edge] = max(found.get(edge, 0.0), seconds)
     return found
@@ -43,7 +42,7 @@ def _waits_s(light: str, lanes: Mapping[str, Lane]) -> dict[str, float]:
 
 def _longest_red_s(logic: Any, link: int) -> float:
     """Return how long a link is red on end, inf for ever; of a program that answers to traffic the latter alone."""
-    shown = [(phase.state[link] in STOPS, phase.duration) for phase in logic.phases if link < len(phase.state)]
+    shown = [(phase.state[link] in NOT_GREEN, phase.duration) for phase in logic.phases if link < len(phase.state)]
     if not any(stops for stops, _ in shown):
         return 0.0
     if all(stops for stops, _ in shown):

@@ -104,9 +104,9 @@ class LettingIn:
         between a slower vehicle behind and a faster one ahead, it would change at once; there the host does not ask.
         Where others come to drive so in the very same step SUMO takes that gap, and the host is in the next lane.
 
-        Nor does it ask while a vehicle ahead means to move into its own lane too close, or would have it brake hard if
-        it did: SUMO takes a vehicle that insists so little, and brakes, for one that gives way, and would let that
-        happen at any gap, in the very step in which that vehicle comes to mean to.
+        Nor does it ask while a vehicle ahead in a lane beside means to move into its own too close, or is so slow and
+        near that the host would brake hard for it there. SUMO finds any gap safe before a vehicle that insists so
+        little and brakes, and a vehicle may begin to want to move and do so within one step.
         """
         asks = side != 0 and self._needs_room(side, speed_mps) and not self._is_cut_in_on(speed_mps)
         if asks == self.asks:
@@ -139,7 +139,7 @@ class LettingIn:
             if not name:
                 continue
             slow_mps = vehicle.getSpeed(name)
-            if max(mps - slow_mps, 0.0) ** 2 > 2 * HARD_MPS2 * gap_m:
+            if acc.braking_distance_m(max(mps - slow_mps, 0.0), HARD_MPS2) > gap_m:
                 return True
             means = _means(name, other(side)) & WANTS[other(side)]
             if means and gap_m < vehicle.getSecureGap(self._name, mps, slow_mps, vehicle.getDecel(name)):

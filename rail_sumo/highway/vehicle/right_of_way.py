@@ -10,7 +10,7 @@ NOT_GREEN = YELLOW | frozenset("ru")
 
 SIGNAL_SHORT_M = 2.5
 """How far before a signal's stop line the host stands. SUMO's own distance is 1 m, and it brakes for that harder."""
-EASY_MPS2 = 3.0
+YELLOW_MPS2 = 3.0
 """Whoever can stop at yellow by such braking, does: 10 feet/s², by which traffic engineers time it (ITE)."""
 LINE_SHORT_M = 0.3
 """How far before any other line the host stands. SUMO stops vehicles that must wait 0.1 m before it, ..."""
@@ -53,7 +53,7 @@ class Signal(NamedTuple):
         if self.is_green or speed_mps**2 / (2 * braking_mps2) > self.ahead_m:
             return False
         stands_in_m, _ = self.stop
-        is_easy = speed_mps**2 / (2 * EASY_MPS2) <= stands_in_m
+        is_easy = speed_mps**2 / (2 * YELLOW_MPS2) <= stands_in_m
         return not self.is_yellow or is_easy or speed_mps * self.left_s < self.ahead_m
 
 
