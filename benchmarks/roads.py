@@ -44,7 +44,7 @@ def options(line: str) -> tuple[str, list[str]]:
     parser.add_argument("--routes", action="append")
     parser.add_argument("--set", action="append", default=[])
     given = parser.parse_args(shlex.split(words))
-    return name.strip(), cli.overrides_of(given.network, given.routes, given.set)
+    return name.strip(), cli.choice_of(given.network, given.routes, given.set).overrides
 
 
 def listed(file: Path) -> list[tuple[str, list[str]]]:

@@ -117,16 +117,20 @@ def key_of(override: str) -> str:
     return override.partition("=")[0].strip()
 
 
-def _apply(tree: dict[str, Any], override: str) -> None:
-    key, equals, text = override.partition("=")
-    parts = [part.strip() for part in key.split(".")]
-    if not equals or len(parts) != 2 or not all(parts):
-        raise InputError(f"--set takes section.key=value, for example traffic.vehicles=30; got '{override}'")
+def value_of(override: str) -> Any:
+    """Return the value that an override `section.key=value` sets: read as TOML, bare words as strings."""
+    text = override.partition("=")[2]
     try:
-        value = tomllib.loads(f"value = {text}")["value"]
+        return tomllib.loads(f"value = {text}")["value"]
     except tomllib.TOMLDecodeError:
-        value = text.strip()
-    _section(tree, parts[0])[parts[1]] = value
+        return text.strip()
+
+
+def _apply(tree: dict[str, Any], override: str) -> None:
+    parts = [part.strip() for part in key_of(override).split(".")]
+    if "=" not in override or len(parts) != 2 or not all(parts):
+        raise InputError(f"--set takes section.key=value, for example traffic.vehicles=30; got '{override}'")
+    _section(tree, parts[0])[parts[1]] = value_of(override)
 
 
 def _section(tree: dict[str, Any], name: str) -> dict[str, Any]:

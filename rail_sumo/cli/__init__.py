@@ -12,10 +12,10 @@ import typer
 from rail_sumo import assets
 from rail_sumo.cli import drive, learn, look, study  # noqa: F401  each hangs its commands on the tree
 from rail_sumo.cli.apps import app
-from rail_sumo.cli.options import overrides_of
+from rail_sumo.cli.world import choice_of
 from rail_sumo.errors import InputError
 
-__all__ = ["app", "main", "overrides_of"]
+__all__ = ["app", "choice_of", "main"]
 
 
 def main() -> None:

@@ -21,15 +21,13 @@ from rail_sumo.cli.options import (
     Seed,
     Workers,
     WorldFile,
-    network_of,
-    notes_of,
-    overrides_of,
     require_page,
     tell,
     typed,
     workers_of,
 )
 from rail_sumo.cli.progress import progress_bars, show
+from rail_sumo.cli.world import choice_of, network_of
 from rail_sumo.errors import InputError
 
 if TYPE_CHECKING:
@@ -76,14 +74,19 @@ def evaluate(
 
     _require_place(out, {"--fcd": (FCD, fcd), "--replay": (REPLAYS, bool(replays))}, overwrite=overwrite)
     n_workers = workers_of(workers)
-    world, who, doubts = _found(policies, overrides_of(network, routes, overrides), config_path)
-
-    known = [*notes_of(network, routes, overrides), *doubts]  # before it is driven: files may change meanwhile
+    choice = choice_of(network, routes, overrides)
+    world, who, doubts = _found(policies, choice.overrides, config_path)
 
     def keep(tables: "Tables", whole: Path, **more: str) -> None:
         tables.save(whole)
         learned = {policy: roster.content_of(policy, world) for policy in policies}
-        notes = [*known, *bars.notes, *report.cut_short(tables.episodes), *report.alike(tables.episodes)]
+        notes = [
+            *choice.notes,
+            *doubts,
+            *bars.notes,
+            *report.cut_short(tables.episodes),
+            *report.alike(tables.episodes),
+        ]
         origin.describe(whole, world, typed(), seed=seed, episodes=episodes, drivers=learned, notes=notes, **more)
 
     try:
@@ -197,7 +200,7 @@ def replay(
         if begin is not None or end is not None:
             raise InputError("--begin and --end cut floating-car data; of an episode all is shown")
         _require_no_recordings(what)
-        world, who, _ = _found(what, overrides_of(network, routes, overrides), config_path)
+        world, who, _ = _found(what, choice_of(network, routes, overrides).overrides, config_path)
         replay.write(who, world, out, seed=seed, episode=episode, judges=roster.judges_of(what), overwrite=overwrite)
     print(f"replay in {out}; open it in a browser")
 

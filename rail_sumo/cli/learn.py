@@ -19,10 +19,10 @@ from rail_sumo.cli.options import (
     Routes,
     Seed,
     Workers,
-    overrides_of,
     workers_of,
 )
 from rail_sumo.cli.progress import progress_bars, show
+from rail_sumo.cli.world import choice_of
 from rail_sumo.files import is_taken
 
 
@@ -48,7 +48,7 @@ def train(
         started = RunDirectory(out)
         config_path = config_path or out / CONFIG
         seed = started.seed if seed is None else seed
-    chosen = config_file.load(config_path, overrides_of(network, routes, overrides))
+    chosen = config_file.load(config_path, choice_of(network, routes, overrides).overrides)
     n_workers = workers_of(workers)
     try:
         with progress_bars() as bars:
@@ -76,7 +76,7 @@ def train_expert(
 
     out = out or Path("runs", f"expert-seed{seed}")
     n_workers = workers_of(workers)
-    world = config_file.load(config_path, overrides_of(network, routes, overrides))
+    world = config_file.load(config_path, choice_of(network, routes, overrides).overrides)
     with progress_bars() as observer:
         tables = expert.train(world, out, seed=seed, workers=n_workers, observer=observer)
     show(tables, out)
@@ -101,7 +101,7 @@ def record(
     """
     from rail_sumo import roster, run
 
-    changes = overrides_of(network, routes, overrides)
+    changes = choice_of(network, routes, overrides).overrides
     world = config_file.load(config_path, changes)
     roster.require_senses_heeded([driver], world, changes)
     n_workers = workers_of(workers)

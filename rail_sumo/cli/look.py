@@ -16,9 +16,9 @@ from rail_sumo.cli.options import (
     Overwrite,
     Routes,
     Seed,
-    overrides_of,
     require_page,
 )
+from rail_sumo.cli.world import choice_of
 
 if TYPE_CHECKING:
     from rail_sumo.highway.network.road import Road
@@ -64,7 +64,7 @@ def show_config(
     """Print every key with what it means and its value, as TOML; a file to start from."""
     from rail_sumo import learners
 
-    chosen = config_file.load(config_path, overrides_of(network, routes, overrides))
+    chosen = config_file.load(config_path, choice_of(network, routes, overrides).overrides)
     learners.learner_of(chosen)  # or there is none of that name
     print(config_file.explained(chosen), end="")
 
@@ -96,7 +96,7 @@ def check(
     from rail_sumo.highway import trial
     from rail_sumo.rollout import EVALUATION, traffic_seed
 
-    world = config_file.load(None, overrides_of(file, routes, overrides))
+    world = config_file.load(None, choice_of(file, routes, overrides).overrides)
     found = trial.check(world, seed=traffic_seed(seed, EVALUATION, 0))
     if as_json:
         print(json.dumps(found.as_json, indent=2))

@@ -16,12 +16,11 @@ from rail_sumo.cli.options import (
     NetworkFile,
     Overrides,
     Routes,
-    notes_of,
-    overrides_of,
     typed,
     workers_of,
 )
 from rail_sumo.cli.progress import progress_bars
+from rail_sumo.cli.world import choice_of
 from rail_sumo.errors import InputError
 
 
@@ -46,7 +45,7 @@ def reproduce(
     from rail_sumo.studies import reproduce
     from rail_sumo.studies.experiment import Experiment
 
-    chosen = config_file.load(config_path, overrides_of(network, routes, overrides))
+    chosen = config_file.load(config_path, choice_of(network, routes, overrides).overrides)
     if cells and (seeds is not None or quick or workers):
         raise InputError("--cells makes tables of what was driven before: leave out --seeds, --quick and --workers")
     n_seeds = (2 if quick else 10) if seeds is None else seeds
@@ -112,9 +111,9 @@ def sweep(
         raise InputError("shares are what is varied; leave out --share")
     if not is_share and "." not in what:
         raise InputError(f"varied is share, or a key of the configuration such as traffic.scale; got '{what}'")
-    changes = overrides_of(network, routes, overrides)
-    world = config_file.load(config_path, changes)
-    roster.require_heeded([name for name in driver if name != study.ACC], world, changes)
+    choice = choice_of(network, routes, overrides)
+    world = config_file.load(config_path, choice.overrides)
+    roster.require_heeded([name for name in driver if name != study.ACC], world, choice.overrides)
     swept = study.Sweep(
         world,
         tuple(driver),
@@ -129,7 +128,7 @@ def sweep(
         workers=n_workers,
         command=typed(),
         road=network or "",
-        known=notes_of(network, routes, overrides),
+        known=choice.notes,
     )
     try:
         with progress_bars() as bars:
