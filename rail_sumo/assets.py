@@ -200,7 +200,10 @@ def _manifest(path: Path) -> dict[str, str]:
     try:
         files = json.loads(path.read_text(encoding="utf-8"))["files"]
     except FileNotFoundError:
-        raise InputError(f"no expert here: '{path}' is missing; train one (rail-sumo expert train)") from None
+        raise InputError(
+            f"no expert here: '{path}' is missing; train one (rail-sumo expert train); any other driver is imitated "
+            "from what it did (rail-sumo expert record --driver)"
+        ) from None
     except (OSError, ValueError, KeyError, TypeError) as error:
         raise InputError(f"the expert's manifest '{path}' cannot be read: {error!r}; reinstall rail-sumo") from None
     if not isinstance(files, dict):

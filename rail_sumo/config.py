@@ -481,6 +481,10 @@ class Expert(_Section):
         return self
 
 
+OF_LEARNING = ("policy", "cloning", "search", "judge", "rail", "gail", "dagger", "ars", "train", "expert")
+"""Sections of the configuration that are not about the world."""
+
+
 def flat(tree: Mapping[str, Mapping[str, Any]]) -> dict[str, Any]:
     """Return a configuration's sections as `section.key`, each with its value."""
     return {f"{section}.{key}": value for section, values in tree.items() for key, value in values.items()}

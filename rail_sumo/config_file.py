@@ -10,7 +10,7 @@ from typing import Any
 import tomli_w
 from pydantic import ValidationError
 
-from rail_sumo.config import Config
+from rail_sumo.config import OF_LEARNING, Config
 from rail_sumo.errors import InputError, did_you_mean
 from rail_sumo.files import AnyPath
 
@@ -95,6 +95,14 @@ def first_difference(given: Mapping[str, Any], wanted: Mapping[str, Any]) -> str
 def dumps(config: Config) -> str:
     """Return the configuration as TOML, every key written out."""
     return tomli_w.dumps(config.model_dump())
+
+
+def dumps_world(config: Config) -> str:
+    """Return as TOML what matters to those who drive: no section about learning, but which expert is meant."""
+    world = config.model_dump(exclude=set(OF_LEARNING))
+    if config.train.expert != Config().train.expert:
+        world["train"] = {"expert": config.train.expert}
+    return tomli_w.dumps(world)
 
 
 def explained(config: Config) -> str:

@@ -72,9 +72,9 @@ class Practice:
         return self.drive([learner.acting(SAMPLED)] * n_rollouts, iteration)
 
     def advised(
-        self, learner: PolicyParameters, adviser: drivers.Expert, n_rollouts: int, iteration: int
+        self, learner: PolicyParameters, adviser: drivers.Driver, n_rollouts: int, iteration: int
     ) -> list[tuple[Trajectory, NDArray[np.int64]]]:
-        """Drive by the policy; beside each rollout, what the adviser would have decided."""
+        """Drive by the policy; beside each rollout, what the adviser, any driver, would have decided."""
         tasks = [replace(self._task(learner, iteration, i), adviser=adviser) for i in range(n_rollouts)]
         return list(self._pool.map(rollout.practise_advised, tasks))
 

@@ -10,12 +10,14 @@ from typing import Any
 
 from rail_sumo import assets, training
 from rail_sumo.config import Config
-from rail_sumo.config_file import dumps
+from rail_sumo.config_file import dumps, dumps_world
 from rail_sumo.files import whole_file
 from rail_sumo.tables import report
 
 
-def describe(folder: Path, world: Config, command: str, *, notes: Sequence[str] = (), **more: Any) -> None:
+def describe(
+    folder: Path, world: Config, command: str, *, notes: Sequence[str] = (), trains: bool = False, **more: Any
+) -> None:
     """Write beside tables what made them: the command, the world, the SHA-256 of its files, and the versions.
 
     Args:
@@ -23,12 +25,13 @@ def describe(folder: Path, world: Config, command: str, *, notes: Sequence[str] 
         world: where was driven.
         command: what was typed.
         notes: what to know of the tables.
+        trains: whether drivers were trained for them, so that the sections about learning matter too.
         more: what else there is to tell, by name, or in place of these: more `files`.
     """
     noted = {"notes": list(notes)} if notes else {}
     about = {"command": command, "files": training.world_inputs(world), **more, **noted, **_versions()}
     for name, text in (
-        (report.WORLD, dumps(training.located(world))),
+        (report.WORLD, (dumps if trains else dumps_world)(training.located(world))),
         (report.ORIGIN, json.dumps(about, indent=2) + "\n"),
     ):
         with whole_file(folder / name) as partial:

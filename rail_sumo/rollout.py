@@ -56,7 +56,7 @@ class Task:
     driver: Who
     config: Config
     seed: int
-    adviser: drivers.Expert | None = None
+    adviser: drivers.Driver | None = None
     """Whose advice `drive_advised` notes."""
     outputs: tuple[str, ...] = ()
     """Further options of SUMO's; see `HighwayEnv`."""

@@ -5,7 +5,7 @@ from collections.abc import Iterable, Iterator, Mapping, Sequence
 from pathlib import Path
 
 from rail_sumo import assets, config_file, drivers, registry
-from rail_sumo.config import Config
+from rail_sumo.config import OF_LEARNING, Config
 from rail_sumo.errors import InputError, did_you_mean
 from rail_sumo.policy import ARGMAX, SAMPLED, PolicyParameters
 from rail_sumo.rollout import Who, driver_of
@@ -16,8 +16,6 @@ INSTEAD = "acc"
 """What drives a share of a demand, and no single host; see `studies.sweep`."""
 AS_A_TYPE = f"{drivers.SUMO_AS}TYPE"
 """How SUMO's own driver as one of the demand's types is listed; see `drivers.hands_off`."""
-OF_LEARNING = ("policy", "cloning", "search", "judge", "rail", "gail", "dagger", "ars", "train", "expert")
-"""Sections of the configuration that are not about the world."""
 OF_THE_WORLD = ("network.", "traffic.", "episode.", "adas.", "varied.")
 """What the keys of its other sections begin with, but for the senses, which are a driver's own."""
 MODES = (ARGMAX, SAMPLED)
@@ -195,6 +193,26 @@ def other_worlds(policies: Sequence[str], world: Config) -> Iterator[str]:
         if keys:
             told = ", ".join(f"{key} = {own[key]}" for key in keys)
             yield f"the world is that of '{first}', the first run named; '{name}' was trained with {told}"
+
+
+def modes_of(who: Mapping[str, Who]) -> dict[str, str]:
+    """Return for each learned policy how it acts, one of `MODES`."""
+    return {
+        name: SAMPLED if policy.samples else ARGMAX
+        for name, policy in who.items()
+        if isinstance(policy, PolicyParameters)
+    }
+
+
+def unlike_modes(who: Mapping[str, Who]) -> Iterator[str]:
+    """Tell where policies whose names do not say how they act do so in different ways."""
+    modes = {name: mode for name, mode in modes_of(who).items() if not _name_and_mode(name)[1]}
+    if len(set(modes.values())) > 1:
+        argmax, sampled = (", ".join(f"'{name}'" for name in modes if modes[name] == mode) for mode in MODES)
+        yield (
+            f"learned drivers act as they were trained, and not all alike: {argmax} by argmax, {sampled} sampled; to "
+            "compare what they have learned and not how they act, name all of them with :argmax, or all with :sampled"
+        )
 
 
 def judges_of(policies: Iterable[str]) -> dict[str, RunDirectory]:

@@ -220,6 +220,38 @@ class _Results:
         return Tables(table, report.summary(table, self._reference), report.decisions(decided))
 
 
+def drive(
+    driver: Who,
+    world: Config,
+    *,
+    episodes: int,
+    seed: int,
+    workers: WorkerCount = 1,
+    observer: Observer = SILENT,
+) -> list[Trajectory]:
+    """Return what a driver saw, decided and did in the held-out episodes that `evaluate` has with this seed.
+
+    Args:
+        driver: who drives, as in `evaluate`.
+        world: where.
+        episodes: how many.
+        seed: of the traffic.
+        workers: how many processes drive, or "ray".
+        observer: called after every episode.
+
+    Raises:
+        InputError: as in `evaluate`; or one of the episodes could not be driven.
+    """
+    who = roster.who_drives(driver, world)
+    require_drivable(world, episodes, [who])
+    tasks = [Task(who, world, traffic_seed(seed, EVALUATION, episode)) for episode in range(episodes)]
+    driven = list(attempt_all("drive", tasks, workers, observer))
+    undriven = next((one for one in driven if isinstance(one, Undriven)), None)
+    if undriven:
+        raise InputError(undriven.why)
+    return [one for one in driven if isinstance(one, Trajectory)]
+
+
 def record(
     driver: Who,
     world: Config,

@@ -35,6 +35,8 @@ JUDGE = "judge.safetensors"
 PROGRESS = "progress.csv"
 CHECKPOINT = "checkpoint.safetensors"
 
+DEMONSTRATIONS = "train.demonstrations"
+"""The key that names them; trainings that are compared may have some of their own each."""
 MAY_CHANGE = ("train.iterations", "train.evaluation_episodes")
 """Keys that an interrupted or finished run may be resumed with another value of: no iteration depends on them."""
 
@@ -183,12 +185,20 @@ class RunDirectory:
         except KeyError as error:
             raise _damaged(path, error) from None
 
-    def differs_by_seed_alone(self, other: "RunDirectory") -> bool:
-        """Return whether another run is of the same configuration and files, and of another seed.
+    def differs_from(self, other: "RunDirectory") -> str:
+        """Return by what another run is more than the same training once more, with another seed; "" if by nothing.
 
-        How many iterations and evaluation episodes it is to have does not matter.
+        It may have demonstrations of its own, and how many iterations and evaluation episodes it is to have does not
+        matter.
         """
-        return (self._fixed, self.inputs) == (other._fixed, other.inputs) and self.seed != other.seed
+        if self.seed == other.seed:
+            return f"both have seed {self.seed}"
+        ours, theirs = (one._fixed | {DEMONSTRATIONS: ""} for one in (self, other))
+        if ours != theirs:
+            return first_difference(ours, theirs)
+        files = [{**one.inputs, DEMONSTRATIONS: ""} for one in (self, other)]
+        names = sorted(dict(files[0].items() ^ files[1].items()))
+        return f"the file of {names[0]} has other content" if names else ""
 
     @property
     def _fixed(self) -> dict[str, Any]:

@@ -83,6 +83,7 @@ def test_groups_have_curves_of_their_own_and_are_named_in_the_legend(run):
         ("search", {"n_top": 3}, {}, ["mix-seed0", "mix-seed1"]),
         ("train", {}, {"network.file": "another content"}, ["mix-seed0", "mix-seed1"]),
         ("train", {"iterations": 7, "evaluation_episodes": 3}, {}, ["mix (2 runs)"]),
+        ("train", {"demonstrations": "own1.parquet"}, {"train.demonstrations": "others"}, ["mix (2 runs)"]),
     ],
 )
 def test_runs_that_differ_by_more_than_their_seed_are_no_one_curve_whatever_their_names(
@@ -92,6 +93,26 @@ def test_runs_that_differ_by_more_than_their_seed_are_no_one_curve_whatever_thei
     other = run("mix-seed1", [66, 67], seed=1, config=Config().changed(**{section: changes}), inputs=inputs)
     figure = plot.learning_curves([one, other])
     assert [text.get_text() for text in figure.legends[0].get_texts()] == curves
+    assert len(list(plot.apart([one, other]))) == len(curves) - 1
+
+
+def test_runs_of_one_name_that_have_a_curve_each_are_told_with_why(run):
+    runs = [run("few-seed0", [1, 2]), run("few-seed1", [1, 2], seed=1, config=Config().changed(policy={"hidden": 3}))]
+    assert list(plot.apart(runs)) == ["the runs 'few' have a curve each: policy.hidden = 32, not 3"]
+    twice = [run("again-0", [1, 2], seed=4), run("again-1", [1, 2], seed=4)]
+    assert list(plot.apart(twice)) == ["the runs 'again' have a curve each: both have seed 4"]
+    other = run("files-0", [1, 2]), run("files-1", [1, 2], seed=1, inputs={"network.file": "another content"})
+    assert list(plot.apart(other)) == ["the runs 'files' have a curve each: the file of network.file has other content"]
+
+
+def test_many_curves_are_told_apart_by_marks_where_colours_come_round_again(run):
+    figure = plot.learning_curves([run(f"{letter}-run", [1, 2]) for letter in "abcdefghijklmno"])
+    drawn = [line for line in figure.axes[0].lines if len(line.get_xdata())]
+    assert len({(line.get_color(), line.get_marker()) for line in drawn}) == 15
+    handles = figure.legends[0].legend_handles
+    assert [(one.get_color(), one.get_marker()) for one in handles] == [
+        (line.get_color(), line.get_marker()) for line in drawn
+    ]
 
 
 def test_the_judges_two_means_share_a_panel(run):

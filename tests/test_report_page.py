@@ -9,8 +9,10 @@ import pandas as pd
 import pytest
 
 from rail_sumo import assets, config_file, origin, roster, run
+from rail_sumo.config import OF_LEARNING
 from rail_sumo.errors import InputError
 from rail_sumo.pictures import plot_episodes, report_page
+from rail_sumo.run_directory import RunDirectory
 from rail_sumo.tables import report
 from rail_sumo.tables.shares import DIFFERENCE_COLUMNS, HEADINGS, SUMMARY_COLUMNS, rates
 
@@ -332,8 +334,34 @@ def test_an_evaluation_keeps_what_made_it_to_be_driven_again_from_any_folder(rai
     assert about["command"] == "rail-sumo eval keep rail --network my.net.xml --episodes 1 --seed 5 --out 'my out'"
     assert about["seed"] == 5
     assert about["drivers"] == {"keep": "", "rail": assets.sha256(assets.driver("rail") / "policy.safetensors")}
+    assert about["modes"] == {"rail": "argmax"}
     kept = config_file.load(tmp_path / "my out" / "world.toml")
     assert kept.network.file == str(tmp_path / "my.net.xml")
+
+
+def test_an_evaluation_tells_how_each_learned_driver_acts_and_nothing_of_the_first_ones_training(rail_sumo, tmp_path):
+    whole = RunDirectory(assets.driver("rail"))
+    config = whole.config.changed(train={"learner": "bc", "trajectories": 2, "iterations": 0})
+    for name, mode in {"bc": "sampled", "rail": "argmax"}.items():
+        RunDirectory.create(tmp_path / name, config, 0, {}, whole.policy().acting(mode))
+    words = ("--episodes", "1", "--set", "episode.duration_s=5")
+    code, _, err = rail_sumo("eval", "bc", "rail", "keep", *words, "--out", "unlike")
+    assert code == 0
+    told = "learned drivers act as they were trained, and not all alike: 'rail' by argmax, 'bc' sampled; to compare"
+    assert told in err
+    about = json.loads((tmp_path / "unlike" / "evaluation.json").read_text())
+    assert about["modes"] == {"bc": "sampled", "rail": "argmax"}
+    assert [line for line in about["notes"] if line.startswith(told)]
+    for of_learning in OF_LEARNING:
+        assert f"[{of_learning}]" not in (tmp_path / "unlike" / "world.toml").read_text()
+    page = tmp_path / "page.html"
+    report_page.write([tmp_path / "unlike"], page)
+    assert "bc: sampled" in page.read_text()
+    assert "train.trajectories" not in page.read_text()
+    report_page.write([tmp_path / "unlike", tmp_path / "rail"], page, overwrite=True)
+    row = re.search(r"<tr>(?:(?!<tr>).)*train.trajectories.*?</tr>", page.read_text(), re.DOTALL)
+    assert re.findall(r"<td[^>]*>(.*?)</td>", row[0])[-2:] == ["", "2"]  # nobody was trained there
+    assert "not all alike" not in rail_sumo("eval", "bc:argmax", "rail", *words)[2]
 
 
 @pytest.mark.parametrize(("ttc_s", "drawn_at"), [(np.inf, 60.0), (12.0, 12.0)])

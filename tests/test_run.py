@@ -1076,6 +1076,16 @@ def test_arrays_of_any_order_in_memory_are_kept_as_they_are(small, driven, tmp_p
         training.learn(none, tmp_path / "none", seed=1)
 
 
+def test_the_drives_of_an_evaluation_may_be_had_whole_and_by_several_workers(small):
+    rows = run.evaluate({"rule": "rule"}, small, episodes=3, seed=4).episodes
+    drives = run.drive("rule", small, episodes=3, seed=4, workers=2)
+    assert [one.seed for one in drives] == rows["seed"].tolist()
+    assert [one.distance_m for one in drives] == pytest.approx(rows["distance_m"], abs=1e-5)
+    assert all(len(one.observations) == len(one.decisions) > 0 for one in drives)
+    with pytest.raises(InputError, match="episodes must be at least 1; got 0"):
+        run.drive("rule", small, episodes=0, seed=4)
+
+
 def test_runs_of_other_worlds_than_that_of_the_first_are_told_of(trained, small, tmp_path):
     assert not list(roster.other_worlds([str(trained), "rule"], small))
     other = shutil.copytree(trained, tmp_path / "other")

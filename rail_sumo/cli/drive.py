@@ -6,7 +6,7 @@ import sys
 from collections.abc import Mapping
 from contextlib import nullcontext
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
@@ -77,7 +77,7 @@ def evaluate(
     choice = choice_of(network, routes, overrides)
     world, who, doubts = _found(policies, choice.overrides, config_path)
 
-    def keep(tables: "Tables", whole: Path, **more: str) -> None:
+    def keep(tables: "Tables", whole: Path, **more: Any) -> None:
         tables.save(whole)
         learned = {policy: roster.content_of(policy, world) for policy in policies}
         notes = [
@@ -87,7 +87,8 @@ def evaluate(
             *report.cut_short(tables.episodes),
             *report.alike(tables.episodes),
         ]
-        origin.describe(whole, world, typed(), seed=seed, episodes=episodes, drivers=learned, notes=notes, **more)
+        drove: dict[str, Any] = {"drivers": learned, "modes": roster.modes_of(who)}
+        origin.describe(whole, world, typed(), seed=seed, episodes=episodes, notes=notes, **drove, **more)
 
     try:
         place = files.whole_folder(out, overwrite=overwrite) if out and fcd else nullcontext()
@@ -231,6 +232,7 @@ def _found(
     learned = roster.judges_of(policies).values()
     unheeded = roster.unheeded_senses(who, world) if config_path else roster.other_worlds(policies, world)
     doubts = [*unheeded, *roster.doubts(policies, world), *training.changed_since(learned, world)]
+    doubts += roster.unlike_modes(who)
     for line in doubts:
         tell(line)
     return world, who, doubts

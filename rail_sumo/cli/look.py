@@ -17,6 +17,7 @@ from rail_sumo.cli.options import (
     Routes,
     Seed,
     require_page,
+    tell,
 )
 from rail_sumo.cli.world import choice_of
 
@@ -50,6 +51,8 @@ def plot(
     """Draw how training went; runs that differ by the number in their names and their seed alone become one curve."""
     from rail_sumo.pictures import plot
 
+    for line in plot.apart(runs):
+        tell(line)
     plot.save(plot.learning_curves(runs, against), out, overwrite=overwrite)
     print(f"learning curves in {out}")
 

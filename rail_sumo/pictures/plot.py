@@ -4,10 +4,10 @@ import io
 import itertools
 import re
 import textwrap
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from importlib.util import find_spec
 from pathlib import Path
-from typing import TYPE_CHECKING, Literal
+from typing import TYPE_CHECKING, Any, Literal
 
 import numpy as np
 import pandas as pd
@@ -48,9 +48,9 @@ def learning_curves(runs: Sequence[Path], against: Against = "steps") -> "Figure
     a random search, of one that draws its actions for GAIL.
 
     Runs in one folder whose names differ in a number at their end alone (`mine-seed0`, `mine-seed1`), of one
-    configuration and with a seed of its own each, are one curve: their mean, with the 95 % confidence band of the mean
-    (Student's t) and each run as a thin line. Others have a curve each. Runs without an iteration, such as clones, are
-    left out.
+    configuration and with a seed of its own each, and perhaps demonstrations, are one curve: their mean, with the 95 %
+    confidence band of the mean (Student's t) and each run as a thin line. Others have a curve each, see `apart`. Runs
+    without an iteration, such as clones, are left out.
 
     Args:
         runs: run directories.
@@ -66,13 +66,13 @@ def learning_curves(runs: Sequence[Path], against: Against = "steps") -> "Figure
     if not drawable:
         raise InputError(f"{', '.join(map(str, runs))}: no iteration to draw, as of a clone, which has none")
     groups = {at: [drawable[run] for run in of_group] for at, of_group in _grouped(drawable).items()}
-    colours = [colour for colour, _ in zip(itertools.cycle(_COLOURS), groups, strict=False)]
+    looks = [_look(number) for number in range(len(groups))]
     column, unit, label = _ACROSS[against]
     figure = Figure(figsize=(9.0, 6.0), layout="constrained")
     for axes, (title, lines) in zip(figure.subplots(2, 2, sharex=True).flat, _PANELS.items(), strict=True):
-        for progress, colour in zip(groups.values(), colours, strict=True):
+        for progress, look in zip(groups.values(), looks, strict=True):
             for drawn, style in lines.items():
-                _draw(axes, progress, column, unit, drawn, style, colour)
+                _draw(axes, progress, column, unit, drawn, {**look, "linestyle": style})
         axes.set_title(title, loc="left", fontsize="medium")
         axes.grid(alpha=0.3)
         axes.spines[["top", "right"]].set_visible(False)
@@ -81,7 +81,7 @@ def learning_curves(runs: Sequence[Path], against: Against = "steps") -> "Figure
     several = any(len(runs) > 1 for runs in groups.values())
     told = f"Rollouts in training traffic; running means over {SMOOTHED_OVER} iterations"
     figure.supxlabel(f"{told}; bands: 95 % of the mean over runs" if several else told, fontsize="small", color="0.4")
-    handles = [figure.axes[0].plot([], [], color=colour)[0] for colour in colours]
+    handles = [figure.axes[0].plot([], [], **look)[0] for look in looks]
     counts = [f"{at.name} ({len(runs)} runs)" if len(runs) > 1 else at.name for at, runs in groups.items()]
     figure.legend(handles, counts, loc="outside upper center", ncols=min(len(counts), 3), frameon=False)
     return figure
@@ -174,17 +174,32 @@ def group_of(run: Path) -> Path:
     return run.with_name(re.sub(r"(?<=.)[-_]?(seed)?\d+$", "", run.name))
 
 
+def apart(runs: Iterable[Path]) -> Iterator[str]:
+    """Tell which runs have a curve each though their names differ by a number alone, and why."""
+    for at, of_group in _named_alike(run for run in runs if len(_progress(run))).items():
+        if why := _differ(of_group):
+            yield f"the runs '{at.name}' have a curve each: {why}"
+
+
 def _grouped(runs: Iterable[Path]) -> dict[Path, list[Path]]:
-    """Return the runs that become one curve: by their names, if they differ by their seed and nothing else."""
+    """Return the runs that become one curve: by their names, if they are one training with several seeds."""
+    curves: dict[Path, list[Path]] = {}
+    for at, of_group in _named_alike(runs).items():
+        curves |= {run: [run] for run in of_group} if _differ(of_group) else {at: of_group}
+    return curves
+
+
+def _named_alike(runs: Iterable[Path]) -> dict[Path, list[Path]]:
     groups: dict[Path, list[Path]] = {}
     for path, run in {run.resolve(): run for run in runs}.items():
         groups.setdefault(group_of(path), []).append(run)
-    curves: dict[Path, list[Path]] = {}
-    for at, of_group in groups.items():
-        pairs = itertools.combinations(map(RunDirectory, of_group), 2)
-        is_one = all(one.differs_by_seed_alone(other) for one, other in pairs)
-        curves |= {at: of_group} if is_one else {run: [run] for run in of_group}
-    return curves
+    return groups
+
+
+def _differ(runs: Iterable[Path]) -> str:
+    """Return by what two of these runs are more than one training with another seed; "" if none are."""
+    pairs = itertools.combinations(map(RunDirectory, runs), 2)
+    return next((why for one, other in pairs if (why := one.differs_from(other))), "")
 
 
 def save(figure: "Figure", out: Path, *, overwrite: bool = False) -> None:
@@ -220,18 +235,30 @@ def _progress(run: Path) -> pd.DataFrame:
     return progress
 
 
+def _look(number: int) -> dict[str, Any]:
+    """Return how a curve is drawn: by its colour, and where colours come round again by marks too."""
+    marks = (None, *_MARKERS)
+    return {
+        "color": _COLOURS[number % len(_COLOURS)],
+        "marker": marks[number // len(_COLOURS) % len(marks)],
+        "markevery": 0.1,  # of the picture's diagonal
+        "markersize": 4.0,
+    }
+
+
 def _draw(
-    axes: "Axes", progress: list[pd.DataFrame], across: str, unit: float, drawn: str, style: str, colour: str
+    axes: "Axes", progress: list[pd.DataFrame], across: str, unit: float, drawn: str, look: Mapping[str, Any]
 ) -> None:
     smooth = [run[drawn].rolling(SMOOTHED_OVER, min_periods=1).mean() for run in progress]
     if len(progress) == 1:
-        axes.plot(progress[0][across] * unit, smooth[0], style, color=colour)
+        axes.plot(progress[0][across] * unit, smooth[0], **look)
         return
+    thin = {**look, "marker": None}
     for run, values in zip(progress, smooth, strict=True):
-        axes.plot(run[across] * unit, values, style, color=colour, alpha=0.25, linewidth=0.7)
+        axes.plot(run[across] * unit, values, **thin, alpha=0.25, linewidth=0.7)
     n_shared = min(map(len, progress))  # as far as all of them have come
     mean_across = np.mean([run[across][:n_shared] for run in progress], axis=0) * unit
     values = np.array([run[:n_shared] for run in smooth])
     mean, half = values.mean(axis=0), stats.t.ppf(0.975, len(values) - 1) * stats.sem(values, axis=0)
-    axes.plot(mean_across, mean, style, color=colour)
-    axes.fill_between(mean_across, mean - half, mean + half, color=colour, alpha=0.2, linewidth=0.0)
+    axes.plot(mean_across, mean, **look)
+    axes.fill_between(mean_across, mean - half, mean + half, color=look["color"], alpha=0.2, linewidth=0.0)

@@ -2,6 +2,7 @@
 
 import html
 import json
+import tomllib
 from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 from string import Template
@@ -11,7 +12,7 @@ import numpy as np
 import pandas as pd
 
 from rail_sumo import assets, config_file
-from rail_sumo.config import Config
+from rail_sumo.config import Config, flat
 from rail_sumo.errors import InputError
 from rail_sumo.files import check_file, whole_file
 from rail_sumo.pictures import markup, plot, plot_episodes
@@ -118,13 +119,20 @@ def _told_in(file: Path) -> list[tuple[str, str]]:
     try:
         about = json.loads(file.read_text(encoding="utf-8"))
         return [
-            (key.removesuffix("s") if key == "notes" else key, str(line))
-            for key in ("command", "seed", "interrupted", "notes", "rail-sumo", "libsumo")
+            (key.removesuffix("s") if key in ("modes", "notes") else key, str(line))
+            for key in ("command", "seed", "interrupted", "modes", "notes", "rail-sumo", "libsumo")
             if key in about
-            for line in (list(about[key]) if key == "notes" else [about[key]])
+            for line in _lines(about[key])
         ]
     except (ValueError, TypeError) as error:
         raise InputError(f"'{file}' is damaged: {error}") from None
+
+
+def _lines(told: Any) -> list[Any]:
+    """Return what is told under one key, a list or by name, as one line each."""
+    if isinstance(told, dict):
+        return [f"{name}: {value}" for name, value in told.items()]
+    return told if isinstance(told, list) else [told]
 
 
 def _evaluation(episodes: pd.DataFrame, summary: pd.DataFrame) -> Iterator[str]:
@@ -296,15 +304,18 @@ def _settings(folders: Sequence[Path]) -> str:
     for folder in folders:
         file = next((folder / name for name in (CONFIG, WORLD) if (folder / name).is_file()), None)
         if file:
-            found[str(folder)] = config_file.load(file).flat()
+            config = config_file.load(file).flat()
+            written = flat(tomllib.loads(file.read_text(encoding="utf-8")))
+            found[str(folder)] = {key: config[key] for key in written}  # of who drove, nothing about learning
     default = Config().flat()
-    keys = [key for key in default if any(config[key] != default[key] for config in found.values())]
+    keys = [key for key in default if any(config.get(key, default[key]) != default[key] for config in found.values())]
     if not found:
         return ""
     if not keys:
         return "<p>All keys have their defaults.</p>"
     rows = [
-        {"key": key, "default": default[key]} | {name: config[key] for name, config in found.items()} for key in keys
+        {"key": key, "default": default[key]} | {name: config.get(key, "") for name, config in found.items()}
+        for key in keys
     ]
     return markup.table(pd.DataFrame(rows).astype(str), "Keys that differ from the default; all others have theirs.")
 

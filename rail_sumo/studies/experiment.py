@@ -170,7 +170,7 @@ class Experiment:
                 self.observer.advance({})
         report.write(self.out, cells=_typed(self._all_finished()), overwrite=True)
         files = training.inputs_of(self.config) | training.expert_input(self.config)
-        origin.describe(self.out, self.config, self.command, notes=notes, files=files)
+        origin.describe(self.out, self.config, self.command, notes=notes, trains=True, files=files)
         return _typed(driven)
 
     def _work(self, cell: Cell) -> "_Work":

@@ -92,6 +92,8 @@ class Sweep:
         notes += road.misdrawn(self.config.network.file)
         notes += self._idle_keys()
         notes += self._early_ends(warm_up_s)
+        who = {one.driver: one.who for one in planned if one.driver in self.drivers}
+        notes += roster.unlike_modes(who)
         for note in notes:
             self.observer.note(note)
         notes = [*self.known, *notes]
@@ -121,7 +123,8 @@ class Sweep:
             edges.to_parquet(partial, index=False)
         learned = {one.driver: one.learned for one in work if one.driver in self.drivers}
         sumo = sumo_command(training.located(self.config), traffic_seed(0, EVALUATION, 0))
-        origin.describe(self.out, self.config, self.command, notes=notes, drivers=learned, sumo=sumo)
+        modes = roster.modes_of(who)
+        origin.describe(self.out, self.config, self.command, notes=notes, drivers=learned, modes=modes, sumo=sumo)
         with whole_file(self.out / "sweep.md") as partial:
             page = sweep_report.markdown(tables, self.road or self.config.network.file, command=self.command)
             partial.write_text(page, encoding="utf-8")
