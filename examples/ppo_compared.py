@@ -14,7 +14,7 @@ WORLD = config_file.of({"network": {"file": "highway3"}, "episode": {"course_m":
 class Taught:
     """Drives as a learner decides, on observations normalised as it was trained with."""
 
-    senses = None  # it sees what the world's configuration says
+    senses = WORLD.senses  # as it was trained with, wherever it drives
 
     def __init__(self, learner: PPO, normalised: VecNormalize) -> None:
         self._learner, self._normalised = learner, normalised

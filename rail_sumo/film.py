@@ -23,6 +23,7 @@ Holding = Literal[
     "right of way",
     "lane end",
     "gap beside",
+    "vehicle across",
     "SUMO",
 ]
 """What the host's speed followed: what the driver has set, or what the assistance layer made of it."""

@@ -5,12 +5,14 @@ import os
 import pickle
 import signal
 import threading
+import time
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from concurrent.futures import ProcessPoolExecutor
 from concurrent.futures.process import BrokenProcessPool
 from contextlib import closing, contextmanager
 from dataclasses import dataclass, replace
 from functools import partial
+from multiprocessing.process import BaseProcess
 from typing import Any, Literal, Protocol, TypeVar
 
 import numpy as np
@@ -196,6 +198,9 @@ def fleet_of(who: Who | Instead, world: Config, share: float, seed: int, outputs
 
 
 WorkerCount = int | Literal["ray"]
+DROPS_S, ENDS_S = 0.1, 2.0
+"""Within these a pool has dropped tasks that are cancelled, which it stumbles over when a worker ends; and a worker has
+ended that is told to."""
 
 
 class Observer(Protocol):
@@ -314,11 +319,22 @@ def workers(number: WorkerCount, *, fresh: bool = False) -> Iterator[Workers]:
             "starts workers outside of if __name__ == '__main__'; --workers 1 drives in one process and tells which"
         ) from None
     except BaseException:
-        for process in set(multiprocessing.active_children()) - earlier_children:  # another task may take minutes yet
-            process.terminate()
+        executor.shutdown(wait=False, cancel_futures=True)
+        time.sleep(DROPS_S)
+        _stop(set(multiprocessing.active_children()) - earlier_children)
         raise
     finally:
         executor.shutdown(cancel_futures=True)
+
+
+def _stop(processes: Iterable[BaseProcess]) -> None:
+    """End processes, whatever they are at: a task may take minutes yet, and SUMO long before it hears of it."""
+    for process in processes:
+        process.terminate()
+    for process in processes:
+        process.join(ENDS_S)
+        if process.is_alive():
+            process.kill()
 
 
 @contextmanager

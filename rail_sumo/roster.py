@@ -75,6 +75,21 @@ def unheeded_senses(who: Mapping[str, Who], world: Config) -> Iterator[str]:
             yield f"'{policy}' keeps the senses that it was trained with: without effect on it is {', '.join(keys)}"
 
 
+def borrowed_senses(who: Mapping[str, Who], policies: Sequence[str], world: Config) -> Iterator[str]:
+    """Tell which drivers of one's own name no senses, and so drive with those of the first run among the policies."""
+    default = Config().sensing
+    keys = [f"{key} = {value}" for key, value in world.sensing.items() if default[key] != value]
+    borrow = [
+        f"'{name}'" for name, driver in who.items() if _is_from_outside(name) and getattr(driver, "senses", 0) is None
+    ]
+    if keys and borrow:
+        first = next(iter(judges_of(policies)), "")
+        yield (
+            f"{', '.join(borrow)} names no senses, and drives with those of '{first}', the first run named: "
+            f"{', '.join(keys)}; what was trained with others has to say so, as senses = config_file.load().senses"
+        )
+
+
 def find_driver(policy: str, world: Config, *, also: Sequence[str] = (AS_A_TYPE,)) -> Who:
     """Return who drives under the name: a driver of ours or of another module, an expert's folder, or a run directory.
 

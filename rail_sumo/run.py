@@ -157,11 +157,11 @@ def evaluate(
 
 def _doubts(episodes: pd.DataFrame, world: Config, *, draws_cars: bool) -> Iterator[str]:
     """Tell what makes the episodes say less than they seem to."""
-    hosts = episodes["host"].dropna().unique()
-    if draws_cars and world.traffic.host == "replaces" and len(hosts) == 1:
+    hosts = episodes["host"].dropna()
+    if draws_cars and world.traffic.host == "replaces" and len(hosts) > 1 and hosts.nunique() == 1:
         yield (
-            f"every episode drives the same car, '{hosts[0]}', since the demand has no other to draw: the intervals "
-            "tell nothing of other cars; name one by traffic.host, or change traffic.begin_s"
+            f"every episode drives the same car, '{hosts.iloc[0]}', since the demand has no other to draw: the "
+            "intervals tell nothing of other cars; name one by traffic.host, or change traffic.begin_s"
         )
     lasts_s = episodes["duration_s"].mean()
     if lasts_s < min(BRIEF_S, world.episode.duration_s):

@@ -197,6 +197,25 @@ def test_before_a_red_signal_the_speed_follows_the_signal():
     assert (held == "signal").sum() < film.n_frames / 2  # it has turned green since
 
 
+def test_past_a_lorry_that_waits_within_a_crossing_the_speed_follows_the_lorry(tmp_path):
+    network, demand = Path(__file__).with_name("left_turns.net.xml"), tmp_path / "left.rou.xml"
+    demand.write_text(
+        '<routes><vType id="lorry" vClass="truck"/>'
+        '<flow id="ahead" from="nc" to="cs" begin="0" end="60" period="3" departSpeed="max" departLane="0"/>'
+        '<flow id="left" type="lorry" from="sc" to="cw" begin="0" end="60" period="12" departSpeed="max" '
+        'departLane="best"/></routes>'
+    )
+    traffic = {"routes": (str(demand),), "warm_up_s": 0.0, "host": "ahead.4"}
+    film, trajectory, _ = filmed(on(str(network), traffic=traffic, episode={"duration_s": 60.0}), "rule")
+    held = np.array([HOLDINGS[k] for k in film.driven.holding])
+    assert (held == "vehicle across").sum() > 5
+    assert trajectory.speed_mps[held == "vehicle across"].min() > 7.0  # past it at 8 m/s
+    aside_m = film.x_m[film.vehicle == 0][held == "vehicle across"] - 245.2  # from the middle of its lane
+    assert -0.75 < aside_m.min() < -0.35
+    assert aside_m.max() < 0.01
+    assert not trajectory.collisions + trajectory.struck
+
+
 def test_before_a_lower_limit_the_speed_follows_that_limit_and_not_the_one_where_it_is(tmp_path):
     network = tmp_path / "slower.net.xml"
     fast, slow = cut_road(600.0, 600.0).split('<edge id="part1"')

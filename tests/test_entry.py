@@ -264,6 +264,21 @@ def test_the_host_is_never_teleported(make, tmp_path):
     assert 350.0 < libsumo.vehicle.getLanePosition("late1") < 400.0
 
 
+@pytest.mark.parametrize(("arrival", "end"), [('arrivalPos="500"', "end of road"), ("", "duration")])
+def test_an_episode_ends_where_the_hosts_trip_does(make, tmp_path, arrival, end):
+    trip = f'depart="5" departLane="0" departPos="100" departSpeed="20" {arrival}'
+    car = f'<vehicle id="v" {trip}><route edges="highway"/></vehicle>'
+    env = make(on_highway3(demand(tmp_path, car) | {"host": "v"}, episode={"duration_s": 60.0}))
+    driven = drive(env, always(ACCELERATE))
+    assert driven.end_reason == end
+    assert (driven.distance_m == pytest.approx(400.0, abs=3.0)) == bool(arrival)
+    assert driven.distance_m == pytest.approx(0.1 * driven.speed_mps[1:].sum(), abs=0.1)
+    assert len(driven.speed_mps) == len(driven.limit_mps) + 1 == len(driven.lane_changing) + 1
+    assert env.action_masks()[1:] != [True] * 4
+    with pytest.raises(RuntimeError, match="the episode is over"):
+        env.step(KEEP)
+
+
 @pytest.mark.parametrize("own_mps", [14.0, 50.0])
 def test_a_car_that_is_replaced_drives_no_faster_than_it_can_itself(make, tmp_path, own_mps):
     kind = f'<vType id="own" maxSpeed="{own_mps}"/>'

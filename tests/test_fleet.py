@@ -4,6 +4,7 @@ import math
 import re
 import shlex
 import xml.etree.ElementTree as ElementTree
+from pathlib import Path
 
 import libsumo
 import numpy as np
@@ -54,6 +55,27 @@ def test_on_a_street_with_signals_driven_cars_touch_nobody_where_they_turn_acros
     driven.drive(900.0)
     assert len(driven.inserted) > 400
     assert not list(ElementTree.parse(tmp_path / "c.xml").iter("collision"))
+
+
+def test_driven_cars_pass_lorries_that_wait_within_a_crossing_and_touch_none(tmp_path):
+    """SUMO's cars touch their corners, three of four; driven ones touched them, or stood before them for ever."""
+    network, demand = Path(__file__).with_name("left_turns.net.xml"), tmp_path / "left.rou.xml"
+    flow = '<flow id="{}" from="{}" to="{}" begin="0" end="300" departSpeed="max" '.format
+    demand.write_text(
+        '<routes><vType id="lorry" vClass="truck"/><vType id="car"/>'
+        + flow("left", "sc", "cw")
+        + 'type="lorry" period="12" departLane="best"/>'
+        + flow("ahead", "nc", "cs")
+        + 'type="car" period="6" departLane="0"/></routes>'
+    )
+    outputs = [str(tmp_path / name) for name in ("contacts.xml", "trips.xml")]
+    options = ("--collision-output", outputs[0], "--tripinfo-output", outputs[1])
+    for share, are_touched in ((0.0, True), (1.0, False)):
+        world = with_demand(network, demand)
+        Fleet(world, share, 0, driver("rule", world), options).drive(400.0)
+        contacts, trips = (list(ElementTree.parse(file).getroot()) for file in outputs)
+        assert bool(contacts) == are_touched
+        assert sum(trip.get("id").startswith("ahead") for trip in trips) >= 45  # of 50
 
 
 # Who is driven.

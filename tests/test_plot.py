@@ -121,6 +121,17 @@ def test_the_judges_two_means_share_a_panel(run):
     assert drawn == {"-": [0.6, 0.6], "--": [0.4, 0.4]}  # as its title says
 
 
+def test_where_nobody_judges_the_last_panel_has_the_reward_that_is_learned_from(run):
+    alone = run("ars", [1, 2], judge_expert_mean=np.nan, judge_learner_mean=np.nan, mean_return=-7.0)
+    figure = plot.learning_curves([alone])
+    assert lines(figure, 3)[0][:, 1].tolist() == [-7.0, -7.0]
+    beside = plot.learning_curves([alone, run("rail", [1, 2])])
+    assert [axes.get_title("left") for axes in (figure.axes[3], beside.axes[3])] == [
+        "what is learned from: reward a rollout",
+        "judge's verdict on expert (solid) and learner (dashed)",
+    ]
+
+
 def test_a_run_without_an_iteration_is_refused(run):
     with pytest.raises(InputError, match=r"mine: no iteration to draw, as of a clone, which has none"):
         plot.learning_curves([run("mine", [])])

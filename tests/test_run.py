@@ -1076,6 +1076,23 @@ def test_arrays_of_any_order_in_memory_are_kept_as_they_are(small, driven, tmp_p
         training.learn(none, tmp_path / "none", seed=1)
 
 
+def test_drivers_of_ones_own_that_name_no_senses_are_told_with_whose_they_drive(trained, small, tmp_path, monkeypatch):
+    (tmp_path / "own_senses.py").write_text(
+        "from rail_sumo import config_file\n\n\n"
+        "class Takes:\n    senses = None\n\n    def decide(self, observation, agent):\n        return 0\n\n\n"
+        "class Has(Takes):\n    senses = config_file.load().senses\n"
+    )
+    monkeypatch.syspath_prepend(tmp_path)
+    names = [str(trained), "own_senses:Takes", "own_senses:Has", "rule"]
+    world = roster.world(names)
+    who = {name: roster.find_driver(name, world) for name in names}
+    (told,) = roster.borrowed_senses(who, names, world)
+    assert told.startswith(
+        f"'own_senses:Takes' names no senses, and drives with those of '{trained}', the first run named: lidar.n_rays ="
+    )
+    assert not list(roster.borrowed_senses(who, names, config_file.load()))
+
+
 def test_the_drives_of_an_evaluation_may_be_had_whole_and_by_several_workers(small):
     rows = run.evaluate({"rule": "rule"}, small, episodes=3, seed=4).episodes
     drives = run.drive("rule", small, episodes=3, seed=4, workers=2)

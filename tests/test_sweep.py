@@ -285,9 +285,12 @@ def test_runs_in_which_somebody_stands_on_a_free_road_are_told_of():
 
 def test_runs_in_which_vehicles_touch_are_told_of():
     about = {"vehicles": "all", "setting": "", "driver": "rule", "share": 1.0}
-    table = pd.DataFrame([about | {"seed": seed, "collisions": number} for seed, number in enumerate((1, 0, 2))])
+    rows = [about | {"seed": seed, "collisions": number} for seed, number in enumerate((1, 0, 2))]
+    placebo = {"driver": "sumo", "vehicles": "driven", "seed": 0, "collisions": 7}
+    table = pd.DataFrame([*rows, rows[2] | {"vehicles": "driven", "collisions": 1}, rows[0] | placebo])
     (note,) = cautions.contacts(table)
     assert note.startswith("vehicles touched (column collisions), with the seeds rule at 100% 0, 2; ")
+    assert "Of these contacts 1 were of driven cars" in note
     assert not list(cautions.contacts(table[table["collisions"] == 0]))
 
 

@@ -230,7 +230,10 @@ def _found(
     world = roster.world(policies, overrides, config=config_path)
     who = {policy: roster.find_driver(policy, world) for policy in policies}
     learned = roster.judges_of(policies).values()
-    unheeded = roster.unheeded_senses(who, world) if config_path else roster.other_worlds(policies, world)
+    if config_path:
+        unheeded = [*roster.unheeded_senses(who, world)]
+    else:
+        unheeded = [*roster.other_worlds(policies, world), *roster.borrowed_senses(who, policies, world)]
     doubts = [*unheeded, *roster.doubts(policies, world), *training.changed_since(learned, world)]
     doubts += roster.unlike_modes(who)
     for line in doubts:

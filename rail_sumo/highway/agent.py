@@ -222,9 +222,18 @@ class Agent:
 
     def leave(self) -> None:
         """End its episode as it was last seen: it has left the road, or what it could drive of it."""
+        self._end_unseen("left the road")
+
+    def arrive(self) -> bool:
+        """End its episode as it was last seen, and return whether it was on the last edge of its course by then."""
+        self._end_unseen("end of road")
+        place = self.stretch.road.place(self.stretch.start_m + self._travelled_m)
+        return place is None or place[0] == len(self.stretch.road.edges) - 1
+
+    def _end_unseen(self, why: EndReason) -> None:
         self._travelled_m += SECONDS_PER_STEP * sum(self.host.speeds_mps[self._n_looked_back :])
         self._mask = KEEP_ALONE
-        self.end = "left the road"
+        self.end = why
 
     def command(self) -> Command:
         """Return what to do next, for no more steps than there are until the next decision."""

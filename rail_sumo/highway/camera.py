@@ -147,6 +147,8 @@ class Camera:
         if now_mps < reachable_mps - SLACK_MPS:
             return "emergency" if gap_m < TOO_CLOSE_S * before_mps + TOO_CLOSE_M else waits
         if told_mps < commanded_mps:
+            if host.makes_room:
+                return "vehicle across"
             return waits if math.isnan(gap_m) else "vehicle ahead"
         meant_mps = max(set_mps, before_mps - adas.comfort_braking_mps2 * SECONDS_PER_STEP)
         if commanded_mps < meant_mps - SLACK_MPS:

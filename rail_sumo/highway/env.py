@@ -245,6 +245,8 @@ class HighwayEnv(gymnasium.Env[Floats, np.int64]):
         agent.decide(MetaAction.of(action))
         while True:
             agent.note(simulation.run(agent.command(), step))
+            if simulation.has_arrived and agent.arrive():
+                return agent.observation, agent.n_steps - before
             keep_to_way(agent, simulation, self.world)
             if agent.is_due:
                 break

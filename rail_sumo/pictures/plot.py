@@ -36,8 +36,12 @@ _PANELS = {
     "speed, km/h": {"speed_kmh": "-"},
     "overtakes a rollout": {"overtakes": "-"},
     "lane changes a rollout": {"lane_changes": "-"},
-    "judge's verdict on expert (solid) and learner (dashed)": {"judge_expert_mean": "-", "judge_learner_mean": "--"},
 }
+_VERDICTS = {
+    "judge's verdict on expert (solid) and learner (dashed)": {"judge_expert_mean": "-", "judge_learner_mean": "--"}
+}
+_RETURN = {"what is learned from: reward a rollout": {"mean_return": "-"}}
+"""The last panel, where there is a judge and where there is none."""
 _MARKERS = ("o", "s", "^", "D", "v", "P", "X")
 _STYLES = ("-", "--", "-.", ":")
 _COLOURS = ("#0072b2", "#d55e00", "#009e73", "#cc79a7", "#e69f00", "#56b4e9", "#000000")  # Okabe & Ito's
@@ -69,7 +73,9 @@ def learning_curves(runs: Sequence[Path], against: Against = "steps") -> "Figure
     looks = [_look(number) for number in range(len(groups))]
     column, unit, label = _ACROSS[against]
     figure = Figure(figsize=(9.0, 6.0), layout="constrained")
-    for axes, (title, lines) in zip(figure.subplots(2, 2, sharex=True).flat, _PANELS.items(), strict=True):
+    is_judged = any(progress["judge_expert_mean"].notna().any() for progress in drawable.values())
+    panels = _PANELS | (_VERDICTS if is_judged else _RETURN)
+    for axes, (title, lines) in zip(figure.subplots(2, 2, sharex=True).flat, panels.items(), strict=True):
         for progress, look in zip(groups.values(), looks, strict=True):
             for drawn, style in lines.items():
                 _draw(axes, progress, column, unit, drawn, {**look, "linestyle": style})

@@ -128,12 +128,15 @@ def stuck(table: pd.DataFrame, edges: pd.DataFrame) -> Iterator[str]:
 
 
 def contacts(table: pd.DataFrame) -> Iterator[str]:
-    """Tell in which runs vehicles touched, which a mean over seeds does not."""
+    """Tell in which runs vehicles touched, which a mean over seeds does not, and how often driven ones did."""
     touched = shares.of_all_vehicles(table).query("collisions > 0")
+    driven = table[(table["vehicles"] == traffic.DRIVEN) & (table["driver"] != shares.AS_THEY_ARE)]
     if len(touched):
         yield (
             f"vehicles touched (column collisions), with the seeds {_seeds(touched)}; they may be the same two at the "
-            "same time in several runs, which are no independent ones"
+            f"same time in several runs, which are no independent ones. Of these contacts "
+            f"{driven['collisions'].sum()} were of driven cars; those of SUMO's vehicles alone, as where a lorry waits "
+            "in the way of others, are no gain or loss in safety that driven cars bring"
         )
 
 

@@ -378,7 +378,8 @@ class Simulation:
     def run(self, command: Command, step: Callable[[], None] | None = None) -> int:
         """Carry a command to `host` out and return the number of steps driven.
 
-        They are fewer than asked where the host collides, its way changes, or it has to look again at a junction ahead.
+        They are fewer than asked where the host collides, its way changes, or it has to look again at a junction ahead;
+        and where it arrives, the step that takes it off the road not counted.
 
         Args:
             command: what it is to do.
@@ -388,6 +389,8 @@ class Simulation:
         step = step or self._step
         for driven in range(1, command.steps + 1):
             step()
+            if self.has_arrived:
+                return driven - 1
             if self.host.contact or self.host.junctions.must_look or self.way_has_changed(self.host):
                 return driven
         return command.steps
@@ -402,7 +405,13 @@ class Simulation:
     def _step(self) -> None:
         """Let SUMO drive one step, and note the hosts' speeds, leaders and contacts."""
         self._move()
-        self._note()
+        if not self.has_arrived:
+            self._note()
+
+    @property
+    def has_arrived(self) -> bool:
+        """Whether a host of the demand has been taken off the road in the last step, as where its trip ends."""
+        return self.in_demand and self.host.name in libsumo.simulation.getArrivedIDList()
 
     def step(self) -> list[str]:
         """Do the same where hosts may leave the road, and return which have."""

@@ -153,7 +153,7 @@ class Abilities:
         needed_mps2 = (now_mps - next_mps) / SECONDS_PER_STEP
         if leader is not None:
             needed_mps2 = max(needed_mps2, acc.needed_mps2(now_mps, leader, self._adas))
-        if (needed_mps2 > EXPECTED_BRAKING_MPS2) != self._braces:
+        if (needed_mps2 > (GENTLE_MPS2 if self._is_gentle else EXPECTED_BRAKING_MPS2)) != self._braces:
             self._braces = not self._braces
             self._set("Decel", self._hardest_mps2)
 
@@ -161,9 +161,11 @@ class Abilities:
     def _hardest_mps2(self) -> float:
         """How hard SUMO may brake it now."""
         hardest = self._adas.emergency_braking_mps2
+        if self._braces:
+            return hardest
         if self._is_gentle:
             return min(GENTLE_MPS2, hardest)
-        return min(EXPECTED_BRAKING_MPS2, hardest) if self._is_of_a_demand and not self._braces else hardest
+        return min(EXPECTED_BRAKING_MPS2, hardest) if self._is_of_a_demand else hardest
 
     # Where.
 

@@ -1,21 +1,33 @@
-"""Whoever stands or drives across the host's path within a junction, and how fast the host may go on then.
+"""Whoever stands or drives across the host's way through a junction, how fast it may go on then, and past whom.
 
 SUMO keeps vehicles apart by right of way before they enter a junction. Inside, where one is stuck across the other's
-path, it lets them touch.
+way, it lets them touch. Pure.
 """
 
+import itertools
 import math
+from collections.abc import Iterator
 
 import numpy as np
 
 from rail_sumo.records import Floats
 
 CROSSES_RAD = math.radians(30.0)
-"""Whoever's heading differs by more than this from the host's drives across its path, or against it."""
+"""Whoever's heading differs by more than this from that of the host's way there drives across it, or against it."""
 CLEAR_M = 0.5
-"""The room that is left to them."""
+"""The room that is left to them, ahead."""
+BESIDE_M, LEAST_BESIDE_M = 0.4, 0.2
+"""The room that is left beside those who are passed, and the least: whoever has that is not moved aside for."""
+PASSING_MPS = 8.0
+"""How fast they are passed, at most."""
+STRIDE_M = 0.1
+"""The host moves aside for them by multiples of this."""
+ROUNDING = 1e-6
+"""What it may take from a number of strides."""
+STANDS_MPS, SLOW_MPS = 0.5, 5.0
+"""Whoever is slower within a junction stands there, or may be about to."""
 BRAKING_MPS2 = 4.5
-"""How hard the host brakes for them as long as that is enough."""
+"""How hard the host brakes for the others as long as that is enough, and they for it."""
 
 
 def allowed_mps(free_m: float) -> float:
@@ -23,26 +35,98 @@ def allowed_mps(free_m: float) -> float:
     return math.sqrt(2 * BRAKING_MPS2 * max(free_m - CLEAR_M, 0.0))
 
 
-def free_m(boxes: Floats) -> float:
-    """Return how far straight ahead of the host's front its path is free of those who cross it; inf if it is.
+def passing_mps(free_m: float, braking_mps2: float) -> float:
+    """Return the speed from which the host comes down to `PASSING_MPS` until so far ahead, by such braking."""
+    return math.sqrt(PASSING_MPS**2 + 2 * braking_mps2 * max(free_m, 0.0))
+
+
+def free_m(others: Floats, way: Floats, *, width_m: float, aside_m: float = 0.0) -> float:
+    """Return how far ahead the host's way is free of those who cross it; inf if it is.
 
     Args:
-        boxes: as in a `Scene`, shape (6, n): x, y, heading in rad, speed, length and width of the host's box, and then
-            of the others'.
+        others: x, y, heading in rad, speed, length and width of their boxes, as in a `Scene`, shape (6, n).
+        way: the points that the middle of its front comes by, from where it is, shape (k, 2).
+        width_m: of the host.
+        aside_m: how far to the left of those points it drives.
     """
-    (x, y, heading), (length, width) = boxes[:3, 0], boxes[4:, 0]
+    before_m = 0.0
+    for start, heading, length_m in _straights(way):
+        nearest_m = _free_straight_m(others, start, heading, length_m, width_m / 2, aside_m)
+        if nearest_m <= length_m:
+            return before_m + nearest_m
+        before_m += length_m
+    return math.inf
+
+
+def stopped(others: Floats) -> Floats:
+    """Return where those of the others who are slow may come to a stop at the earliest, shape (6, n_slow)."""
+    x, y, heading, speed, length, width = others[:, others[3] < SLOW_MPS]
+    goes_on_m = speed**2 / (2 * BRAKING_MPS2)
+    x, y = x + goes_on_m * np.cos(heading), y + goes_on_m * np.sin(heading)
+    return np.array([x, y, heading, np.zeros_like(speed), length, width])
+
+
+def aside_m(host: Floats, others: Floats, way: Floats, *, lane_m: float, now_m: float) -> float:
+    """Return how far to the left of its way the host had better drive, within its lane, to pass those who stand there.
+
+    Or who may be about to. It is 0 where nobody is in its way. The host stays where it is beside somebody who drives
+    on, and where somebody cannot be passed. In a turn it passes nobody: it may have to wait
+    there, where the middle of its lane keeps it out of the way of others.
+
+    Args:
+        host: its box, as in a `Scene`, shape (6,).
+        others: as for `free_m`.
+        way: as for `free_m`.
+        lane_m: how wide its lane is.
+        now_m: how far to the left it is now.
+    """
+    if _turns_rad(way) > CROSSES_RAD:
+        return 0.0
+    heading, length_m, width_m = host[[2, 4, 5]]
+    whole = np.vstack([way[0] - length_m * np.array([math.cos(heading), math.sin(heading)]), way])  # its body, too
+    least_m, standing = width_m + 2 * LEAST_BESIDE_M, stopped(others)
+    if math.isinf(free_m(standing, whole, width_m=least_m)):
+        return 0.0 if math.isinf(free_m(others, whole, width_m=least_m)) else now_m
+    strides = range(1, math.floor((lane_m - width_m) / 2 / STRIDE_M + ROUNDING) + 1)
+    for wide_m in (width_m + 2 * BESIDE_M, least_m):
+        for one_m in (side * n * STRIDE_M for n in strides for side in (-1, 1)):
+            if math.isinf(free_m(standing, whole, width_m=wide_m, aside_m=one_m)):
+                return one_m
+    return now_m
+
+
+def _turns_rad(way: Floats) -> float:
+    """Return by how much a way turns, from its first straight part to its last."""
+    headings = [heading for _, heading, _ in _straights(way)]
+    return abs(math.remainder(headings[-1] - headings[0], 2 * math.pi)) if headings else 0.0
+
+
+def _straights(way: Floats) -> Iterator[tuple[Floats, float, float]]:
+    """Yield the straight parts of a way: start, heading in rad and length."""
+    for start, end in itertools.pairwise(way):
+        (x, y), length_m = end - start, float(np.linalg.norm(end - start))
+        if length_m:
+            yield start, math.atan2(y, x), length_m
+
+
+def _free_straight_m(
+    others: Floats, start: Floats, heading: float, length_m: float, half_width: float, aside_m: float
+) -> float:
+    """Return how far ahead on one straight part the nearest is who crosses it; inf if nobody does."""
+    x, y, headings, _, lengths, widths = others
     cosine, sine = math.cos(heading), math.sin(heading)
+    ahead = (x - start[0]) * cosine + (y - start[1]) * sine
+    left = (y - start[1]) * cosine - (x - start[0]) * sine - aside_m
+    reach = np.hypot(lengths, widths) / 2
+    turned = headings - heading
+    crosses = np.abs(np.remainder(turned + math.pi, 2 * math.pi) - math.pi) > CROSSES_RAD
+    is_near = (np.abs(left) <= half_width + reach) & (ahead >= -reach) & (ahead <= length_m + reach)
     free = math.inf
-    for other_x, other_y, other_heading, _, other_length, other_width in boxes[:, 1:].T:
-        turned = other_heading - heading
-        if abs(math.remainder(turned, 2 * math.pi)) <= CROSSES_RAD:
-            continue
-        # In the host's frame, from the middle of its front: ahead, and to the left.
-        ahead = (other_x - x) * cosine + (other_y - y) * sine - length / 2
-        left = (other_y - y) * cosine - (other_x - x) * sine
-        corners = np.array([(-1, -1), (1, -1), (1, 1), (-1, 1)]) * (other_length / 2, other_width / 2)
-        turn = np.array([[math.cos(turned), math.sin(turned)], [-math.sin(turned), math.cos(turned)]])
-        free = min(free, _nearest_in_strip(corners @ turn + (ahead, left), width / 2))
+    for k in np.flatnonzero(crosses & is_near):
+        corners = np.array([(-1, -1), (1, -1), (1, 1), (-1, 1)]) * (lengths[k] / 2, widths[k] / 2)
+        cosine, sine = math.cos(turned[k]), math.sin(turned[k])
+        turn = np.array([[cosine, sine], [-sine, cosine]])
+        free = min(free, _nearest_in_strip(corners @ turn + (ahead[k], left[k]), half_width))
     return free
 
 

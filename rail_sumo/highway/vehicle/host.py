@@ -19,7 +19,7 @@ from rail_sumo.highway.vehicle.neighbours import Neighbours
 from rail_sumo.highway.vehicle.queues import Queues
 from rail_sumo.highway.vehicle.sumos_changes import SumosChanges
 from rail_sumo.highway.vehicle.whereabouts import to_lane_end_m, way_of
-from rail_sumo.records import SUMO_DECIDES, Command, Gaps, HostState, Scene
+from rail_sumo.records import SECONDS_PER_STEP, SUMO_DECIDES, Command, Gaps, HostState, Scene
 
 SUMO_CHANGES_LANES = 1621
 """SUMO's default lane-change mode."""
@@ -65,6 +65,9 @@ class Host:
         """What SUMO lets it do."""
         self._before_m = 0.0
         self._lateral_m = 0.0
+        self._is_changing_lane = False
+        self.makes_room = False
+        """Whether it drives more slowly for somebody who crosses its way at a junction."""
         self.aims_at = ""
         """The lane that it is about to move into; empty if none."""
         self._sumo_drives = False
@@ -301,9 +304,20 @@ class Host:
             followers = vehicle.getNeighbors(self.name, neighbours.modes(command.cross)[1])
             if followers:
                 self._cut_ins.watch(min(followers, key=lambda follower: follower[1])[0], len(self.speeds_mps))
-        if command.lateral_m != self._lateral_m:
-            vehicle.setLateralLanePosition(self.name, command.lateral_m)
-            self._lateral_m = command.lateral_m
+        self._is_changing_lane = bool(command.lateral_m or command.cross)
+        if self._is_changing_lane or not self.junctions.matter:
+            self._move_to(command.lateral_m)
+
+    def _move_to(self, lateral_m: float) -> None:
+        """Be so far to the left of the middle of its lane."""
+        if lateral_m != self._lateral_m:
+            libsumo.vehicle.setLateralLanePosition(self.name, lateral_m)
+            self._lateral_m = lateral_m
+
+    def _move_towards(self, lateral_m: float) -> None:
+        """Move sideways in one step, as far as it may."""
+        stride_m = self._adas.lateral_speed_mps * SECONDS_PER_STEP
+        self._move_to(min(max(lateral_m, self._lateral_m - stride_m), self._lateral_m + stride_m))
 
     def _ask(self, side: int) -> None:
         """Have others in the lane on a side let it in; 0: no longer."""
@@ -323,9 +337,13 @@ class Host:
             speed_mps = min(speed_mps, self._letting_in.allowed_mps(now_mps))
             if leader is not None:
                 speed_mps = min(speed_mps, acc.following_mps(now_mps, leader, self._adas))
+            self.makes_room = False
+            if self.junctions.matter:
+                clear_mps = self.junctions.clear_mps(self._look_around, now_mps)
+                self.makes_room, speed_mps = clear_mps < speed_mps, min(clear_mps, speed_mps)
+                if not self._is_changing_lane:
+                    self._move_towards(self.junctions.aside_m)
             self.abilities.brace(now_mps, speed_mps, leader)
-        if self.junctions.matter and not self._sumo_drives:
-            speed_mps = min(speed_mps, self.junctions.clear_mps(self._look_around, now_mps))
         if speed_mps != self._told_mps:
             libsumo.vehicle.setSpeed(self.name, speed_mps)
             self._told_mps = speed_mps

@@ -4,14 +4,15 @@ import math
 from collections.abc import Callable, Sequence
 
 import libsumo
+import numpy as np
 
 from rail_sumo import config
 from rail_sumo.highway.network.edge import Edge
 from rail_sumo.highway.network.road import Road
 from rail_sumo.highway.vehicle import acc, crossing
 from rail_sumo.highway.vehicle.right_of_way import LINE_SHORT_M, NOT_GREEN, SIGHT_M, GiveWay, Place, Signal
-from rail_sumo.highway.vehicle.whereabouts import to_junction_end_m, to_lane_end_m, way_of
-from rail_sumo.records import SECONDS_PER_STEP, Scene
+from rail_sumo.highway.vehicle.whereabouts import lanes_inside, to_lane_end_m, way_of
+from rail_sumo.records import SECONDS_PER_STEP, Floats, Scene
 
 SUMO_SPEED_MODE = 31
 """SUMO's default speed mode."""
@@ -19,10 +20,6 @@ IGNORE_SIGNALS = 15
 """Speed mode: the same, but for signals."""
 SLOW_MPS, LINE_NEAR_M = 5.0, 10.0
 """A vehicle that is slower, and nearer to a line, may have to stop there within a second."""
-STUCK_MPS = 0.5
-"""Whoever is slower within a junction is stuck there."""
-STRAIGHT = "s"
-"""SUMO's letter for the way straight on."""
 
 
 class Junctions:
@@ -41,11 +38,14 @@ class Junctions:
         self._shown: list[str | bool] = []  # when it last looked
         self._is_unsure = False
         self._crossing: dict[str, Sequence[str]] = {}  # lanes within junctions that others cross
+        self._shapes: dict[str, Floats] = {}
+        self.aside_m = 0.0
+        """How far to the left of the middle of its lane it had better drive, to pass somebody within a junction."""
 
     def follow(self, road: Road, *, sees_m: float) -> None:
         """Tell what is ahead along a course, so far away."""
         self._edges, self._sight_m = road.edge_of, road.sight_m
-        self._sees_m = sees_m
+        self._is_left_hand, self._sees_m = road.is_left_hand, sees_m
         self.matter = self._has_signals or road.gives_way
         """Whether it may ever have to wait at one."""
 
@@ -99,23 +99,36 @@ class Junctions:
         return self.matter and (self._is_unsure or self._shows(self._signals()) != self._shown)
 
     def clear_mps(self, look_around: Callable[[], Scene], speed_mps: float) -> float:
-        """Return how fast it may go on, for those who are across its path within a junction; inf if nobody is.
+        """Return how fast it may go on, for those who are across its way through a junction; inf if nobody is.
 
-        Before a junction it heeds those who stand there across its way straight on, and stops at the line for them.
+        Before a junction it heeds those who stand there across its way, and stops at the line for them.
+        Whom it can pass within its lane it passes; see `aside_m`.
 
         Args:
             look_around: returns itself and the vehicles around it.
             speed_mps: how fast it is.
         """
-        if libsumo.vehicle.getLaneID(self._name).startswith(":"):
-            free_m = crossing.free_m(look_around().boxes)
-            if free_m > to_junction_end_m(self._name):  # beside the road that it comes out on
-                return math.inf
-            allowed_mps = crossing.allowed_mps(free_m)
+        lane_id = libsumo.vehicle.getLaneID(self._name)
+        if lane_id.startswith(":"):
+            allowed_mps = self._clear_inside_mps(look_around().boxes, lanes_inside(lane_id))
         else:
+            if self.aside_m and libsumo.vehicle.getLanePosition(self._name) > libsumo.vehicle.getLength(self._name):
+                self.aside_m = 0.0  # all of it has left the junction
             allowed_mps = self._clear_ahead_mps(look_around, speed_mps)
         hardest_mps = speed_mps - self._adas.emergency_braking_mps2 * SECONDS_PER_STEP
         return max(allowed_mps, hardest_mps, 0.0)
+
+    def _clear_inside_mps(self, boxes: Floats, lanes: Sequence[str]) -> float:
+        way, host, others = self._way(lanes), boxes[:, 0], boxes[:, 1:]
+        width_m, lane_m = host[5], libsumo.lane.getWidth(lanes[0])
+        self.aside_m = crossing.aside_m(host, others, way, lane_m=lane_m, now_m=self.aside_m)
+        free_m = crossing.free_m(others, way, width_m=width_m, aside_m=self.aside_m)
+        allowed_mps = math.inf if math.isinf(free_m) else crossing.allowed_mps(free_m)
+        if self.aside_m:
+            least_m = width_m + 2 * crossing.LEAST_BESIDE_M
+            nearest_m = crossing.free_m(crossing.stopped(others), way, width_m=least_m)
+            allowed_mps = min(allowed_mps, crossing.passing_mps(nearest_m, self._adas.comfort_braking_mps2))
+        return allowed_mps
 
     def _clear_ahead_mps(self, look_around: Callable[[], Scene], speed_mps: float) -> float:
         comfort_mps2, to_line_m = self._adas.comfort_braking_mps2, to_lane_end_m(self._name)
@@ -124,19 +137,37 @@ class Junctions:
         links = libsumo.vehicle.getNextLinks(self._name)
         if not links:
             return math.inf
-        *_, via, _, direction, inside_m = links[0]
-        if direction != STRAIGHT or not via or not self._is_crossed(via):
+        via = links[0][4]
+        if not via or not self._is_crossed(via):
             return math.inf
-        boxes = look_around().boxes
-        is_told = boxes[3] < STUCK_MPS
-        is_told[0] = True  # the host itself
-        free_m = crossing.free_m(boxes[:, is_told])
-        if not to_line_m < free_m < to_line_m + inside_m:
+        host, others = np.split(look_around().boxes, [1], axis=1)
+        standing = others[:, others[3] < crossing.STANDS_MPS]
+        way = self._way([libsumo.vehicle.getLaneID(self._name), *lanes_inside(via)])
+        free_m = crossing.free_m(standing, way, width_m=host[5, 0])
+        if not to_line_m < free_m < math.inf:
             return math.inf
+        if crossing.aside_m(host[:, 0], standing, way, lane_m=libsumo.lane.getWidth(via), now_m=0.0):
+            return crossing.passing_mps(free_m, comfort_mps2)
         if acc.braking_distance_m(speed_mps, self._adas.emergency_braking_mps2) >= to_line_m:
             return crossing.allowed_mps(free_m)
         left_m = to_line_m - LINE_SHORT_M - speed_mps * SECONDS_PER_STEP
         return math.sqrt(2 * comfort_mps2 * max(left_m, 0.0))
+
+    def _way(self, lanes: Sequence[str]) -> Floats:
+        """Return the points that the middle of its front comes by along lanes, the first of which it is on."""
+        shapes = [self._shape(lane) for lane in lanes]
+        part = libsumo.vehicle.getLanePosition(self._name) / libsumo.lane.getLength(lanes[0])
+        along = np.append(0.0, np.cumsum(np.hypot(*np.diff(shapes[0], axis=0).T)))
+        here_m = part * along[-1]
+        here = [np.interp(here_m, along, shapes[0][:, axis]) for axis in (0, 1)]
+        return np.vstack([here, shapes[0][along > here_m], *shapes[1:]])
+
+    def _shape(self, lane: str) -> Floats:
+        """Return the points of a lane's middle, shape (k, 2), as a `Scene` has them."""
+        if lane not in self._shapes:
+            mirror = (1.0, -1.0) if self._is_left_hand else (1.0, 1.0)
+            self._shapes[lane] = np.array(libsumo.lane.getShape(lane))[:, :2] * mirror
+        return self._shapes[lane]
 
     def _is_crossed(self, inside: str) -> bool:
         """Return whether anybody is on a lane that crosses one within a junction, or joins it."""

@@ -22,9 +22,9 @@ def to_lane_end_m(name: str) -> float:
     return libsumo.lane.getLength(libsumo.vehicle.getLaneID(name)) - libsumo.vehicle.getLanePosition(name)
 
 
-def to_junction_end_m(name: str) -> float:
-    """Return how far a vehicle that is within a junction has to the end of it."""
-    lane_id, metres = libsumo.vehicle.getLaneID(name), to_lane_end_m(name)
-    while via := next((link[4] for link in libsumo.lane.getLinks(lane_id)), ""):
-        lane_id, metres = via, metres + libsumo.lane.getLength(via)
-    return metres
+def lanes_inside(lane_id: str) -> list[str]:
+    """Return a lane within a junction and those that follow it there."""
+    lanes = [lane_id]
+    while via := next((link[4] for link in libsumo.lane.getLinks(lanes[-1])), ""):
+        lanes.append(via)
+    return lanes

@@ -34,6 +34,7 @@ const HOLDINGS = {
   "right of way": "gives way",
   "lane end": "slows for the end of its lane",
   "gap beside": "falls in for a gap in the lane beside",
+  "vehicle across": "makes room for a vehicle across its way",
   SUMO: "is driven by SUMO, which chooses its speed and lane",
 };
 
