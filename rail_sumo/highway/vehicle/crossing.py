@@ -70,8 +70,8 @@ def aside_m(host: Floats, others: Floats, way: Floats, *, lane_m: float, now_m: 
     """Return how far to the left of its way the host had better drive, within its lane, to pass those who stand there.
 
     Or who may be about to. It is 0 where nobody is in its way. The host stays where it is beside somebody who drives
-    on, and where somebody cannot be passed. In a turn it passes nobody: it may have to wait
-    there, where the middle of its lane keeps it out of the way of others.
+    on, and where somebody cannot be passed. In a turn it passes nobody: it may have to wait there, where the middle of
+    its lane keeps it out of the way of others.
 
     Args:
         host: its box, as in a `Scene`, shape (6,).
