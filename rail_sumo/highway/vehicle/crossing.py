@@ -4,9 +4,9 @@ SUMO keeps vehicles apart by right of way before they enter a junction. Inside, 
 way, it lets them touch. Pure.
 """
 
-import itertools
 import math
-from collections.abc import Iterator
+from collections.abc import Iterable
+from typing import NamedTuple
 
 import numpy as np
 
@@ -49,13 +49,7 @@ def free_m(others: Floats, way: Floats, *, width_m: float, aside_m: float = 0.0)
         width_m: of the host.
         aside_m: how far to the left of those points it drives.
     """
-    before_m = 0.0
-    for start, heading, length_m in _straights(way):
-        nearest_m = _free_straight_m(others, start, heading, length_m, width_m / 2, aside_m)
-        if nearest_m <= length_m:
-            return before_m + nearest_m
-        before_m += length_m
-    return math.inf
+    return _free_m(others, _straights(way), width_m / 2, aside_m)
 
 
 def stopped(others: Floats) -> Floats:
@@ -80,51 +74,67 @@ def aside_m(host: Floats, others: Floats, way: Floats, *, lane_m: float, now_m: 
         lane_m: how wide its lane is.
         now_m: how far to the left it is now.
     """
-    if _turns_rad(way) > CROSSES_RAD:
-        return 0.0
     heading, length_m, width_m = host[[2, 4, 5]]
-    whole = np.vstack([way[0] - length_m * np.array([math.cos(heading), math.sin(heading)]), way])  # its body, too
-    least_m, standing = width_m + 2 * LEAST_BESIDE_M, stopped(others)
-    if math.isinf(free_m(standing, whole, width_m=least_m)):
-        return 0.0 if math.isinf(free_m(others, whole, width_m=least_m)) else now_m
+    back = length_m * np.array([math.cos(heading), math.sin(heading)])
+    body, *parts = _straights(np.vstack([way[0] - back, way]))
+    if not parts or abs(math.remainder(parts[-1].heading - parts[0].heading, 2 * math.pi)) > CROSSES_RAD:
+        return 0.0
+
+    def is_free(others: Floats, beside_m: float, aside_m: float) -> bool:
+        return math.isinf(_free_m(others, [body, *parts], width_m / 2 + beside_m, aside_m))
+
+    standing = stopped(others)
+    if is_free(standing, LEAST_BESIDE_M, 0.0):
+        return 0.0 if is_free(others, LEAST_BESIDE_M, 0.0) else now_m
     strides = range(1, math.floor((lane_m - width_m) / 2 / STRIDE_M + ROUNDING) + 1)
-    for wide_m in (width_m + 2 * BESIDE_M, least_m):
+    for beside_m in (BESIDE_M, LEAST_BESIDE_M):
         for one_m in (side * n * STRIDE_M for n in strides for side in (-1, 1)):
-            if math.isinf(free_m(standing, whole, width_m=wide_m, aside_m=one_m)):
+            if is_free(standing, beside_m, one_m):
                 return one_m
     return now_m
 
 
-def _turns_rad(way: Floats) -> float:
-    """Return by how much a way turns, from its first straight part to its last."""
-    headings = [heading for _, heading, _ in _straights(way)]
-    return abs(math.remainder(headings[-1] - headings[0], 2 * math.pi)) if headings else 0.0
+class _Part(NamedTuple):
+    """A straight part of a way."""
+
+    x_m: float
+    y_m: float
+    heading: float
+    length_m: float
 
 
-def _straights(way: Floats) -> Iterator[tuple[Floats, float, float]]:
-    """Yield the straight parts of a way: start, heading in rad and length."""
-    for start, end in itertools.pairwise(way):
-        (x, y), length_m = end - start, float(np.linalg.norm(end - start))
-        if length_m:
-            yield start, math.atan2(y, x), length_m
+def _straights(way: Floats) -> list[_Part]:
+    """Return the straight parts of a way."""
+    steps = np.diff(way, axis=0)
+    parts = zip(*way[:-1].T, np.arctan2(steps[:, 1], steps[:, 0]), np.hypot(*steps.T), strict=True)
+    return [_Part(*map(float, part)) for part in parts if part[-1]]
 
 
-def _free_straight_m(
-    others: Floats, start: Floats, heading: float, length_m: float, half_width: float, aside_m: float
-) -> float:
+def _free_m(others: Floats, parts: Iterable[_Part], half_width: float, aside_m: float) -> float:
+    before_m = 0.0
+    for part in parts if others.size else ():
+        nearest_m = _free_straight_m(others, part, half_width, aside_m)
+        if nearest_m <= part.length_m:
+            return before_m + nearest_m
+        before_m += part.length_m
+    return math.inf
+
+
+def _free_straight_m(others: Floats, part: _Part, half_width: float, aside_m: float) -> float:
     """Return how far ahead on one straight part the nearest is who crosses it; inf if nobody does."""
     x, y, headings, _, lengths, widths = others
-    cosine, sine = math.cos(heading), math.sin(heading)
-    ahead = (x - start[0]) * cosine + (y - start[1]) * sine
-    left = (y - start[1]) * cosine - (x - start[0]) * sine - aside_m
-    reach = np.hypot(lengths, widths) / 2
-    turned = headings - heading
-    crosses = np.abs(np.remainder(turned + math.pi, 2 * math.pi) - math.pi) > CROSSES_RAD
-    is_near = (np.abs(left) <= half_width + reach) & (ahead >= -reach) & (ahead <= length_m + reach)
+    cosine, sine = math.cos(part.heading), math.sin(part.heading)
+    ahead = (x - part.x_m) * cosine + (y - part.y_m) * sine
+    left = (y - part.y_m) * cosine - (x - part.x_m) * sine - aside_m
+    reach = (lengths + widths) / 2
+    is_near = (np.abs(left) <= half_width + reach) & (ahead >= -reach) & (ahead <= part.length_m + reach)
     free = math.inf
-    for k in np.flatnonzero(crosses & is_near):
+    for k in np.flatnonzero(is_near):
+        turned = headings[k] - part.heading
+        if abs(math.remainder(turned, 2 * math.pi)) <= CROSSES_RAD:
+            continue
         corners = np.array([(-1, -1), (1, -1), (1, 1), (-1, 1)]) * (lengths[k] / 2, widths[k] / 2)
-        cosine, sine = math.cos(turned[k]), math.sin(turned[k])
+        cosine, sine = math.cos(turned), math.sin(turned)
         turn = np.array([[cosine, sine], [-sine, cosine]])
         free = min(free, _nearest_in_strip(corners @ turn + (ahead[k], left[k]), half_width))
     return free

@@ -137,8 +137,9 @@ class Junctions:
         links = libsumo.vehicle.getNextLinks(self._name)
         if not links:
             return math.inf
-        via = links[0][4]
-        if not via or not self._is_crossed(via):
+        *_, via, state, _, _ = links[0]
+        waits = state in NOT_GREEN and not self._drives_on  # for the signal
+        if not via or waits or not self._is_crossed(via):
             return math.inf
         host, others = np.split(look_around().boxes, [1], axis=1)
         standing = others[:, others[3] < crossing.STANDS_MPS]
