@@ -283,6 +283,23 @@ def test_runs_in_which_somebody_stands_on_a_free_road_are_told_of():
     assert not list(cautions.stuck(table[table["share"] == 1.0], edges))
 
 
+@pytest.mark.parametrize("shares", [(0.0,), (0.0, 1.0)])
+def test_vehicles_as_they_are_may_be_looked_at_alone(world, tmp_path, figures, shares):
+    tables = small(world, tmp_path / "out", drivers=("sumo",), shares=shares).drive()
+    assert set(tables.traffic["driver"]) == {"sumo"}
+    assert tables.differences.empty
+    assert "| as they are | 0% |" in (tmp_path / "out" / "sweep.md").read_text()
+    assert (tmp_path / "out" / "figures" / "speed_kmh.svg").exists()
+
+
+def test_measures_of_trips_are_told_to_be_of_few_where_few_begin_in_the_period():
+    about = {"vehicles": "all", "setting": "", "driver": "rule", "share": 1.0}
+    table = pd.DataFrame([about | {"seed": seed, "inserted": number} for seed, number in enumerate((30, 2))])
+    (note,) = cautions.few_trips(table)
+    assert "(column inserted), at the least rule at 100% 2: travel times" in note
+    assert not list(cautions.few_trips(table[:1]))
+
+
 def test_runs_in_which_vehicles_touch_are_told_of():
     about = {"vehicles": "all", "setting": "", "driver": "rule", "share": 1.0}
     rows = [about | {"seed": seed, "collisions": number} for seed, number in enumerate((1, 0, 2))]
@@ -520,7 +537,7 @@ def test_who_finds_no_room_to_enter_is_told_of(tmp_path):
     assert re.fullmatch(
         r"vehicles still wait for room to enter at the end \(column waiting\), in the mean over seeds from \d+ \(a.*\) "
         r"to \d+ \(a.*\): where fewer have entered, .*",
-        late.drive().notes[-1],
+        late.drive().notes[0],
     )
     after = small(world, tmp_path / "after", drivers=("acc",), shares=(1.0,), seeds=1, warm_up_s=60.0)
     assert (
@@ -534,7 +551,8 @@ def test_without_matplotlib_there_are_tables_and_a_word(monkeypatch, world, tmp_
     monkeypatch.setattr(plot, "with_bands", None)
     hears = Hears()
     small(world, tmp_path / "out", drivers=("acc",), shares=(1.0,), seeds=1, observer=hears).drive()
-    assert hears.said == ["no figures without matplotlib; install it with: pip install 'rail-sumo[plots]'"]
+    assert hears.said[0].startswith("few vehicles enter in the period of a run")
+    assert hears.said[1:] == ["no figures without matplotlib; install it with: pip install 'rail-sumo[plots]'"]
     assert not (tmp_path / "out" / "figures").exists()
 
 

@@ -63,6 +63,16 @@ def test_signals_limits_and_lanes_that_end_are_told(soon_narrow):
     assert found.n_signals == 0
     assert found.ending_lanes == {"wide": [0]}
     assert found.limits_kmh == (130, 130)
+    assert not [one for one in found.warnings if "m/s" in one]
+
+
+def test_a_limit_that_may_have_been_meant_in_kmh_is_told(soon_narrow):
+    network = Path(soon_narrow["file"])
+    network.write_text(network.read_text().replace("36.11", "70.00"))
+    found = trial.check(world(network={"file": str(network)}, traffic=EMPTY))
+    assert found.limits_kmh == (252, 252)
+    (told,) = [one for one in found.warnings if "m/s" in one]
+    assert told.startswith("the limit is up to 252 km/h (70 m/s): networks tell speeds in m/s; the host takes")
 
 
 def test_the_host_is_told_if_it_is_one_of_the_demand(tmp_path):

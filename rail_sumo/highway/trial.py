@@ -10,6 +10,7 @@ from rail_sumo.config import FASTEST_CAR_MPS, Config
 from rail_sumo.errors import InputError
 from rail_sumo.highway.env import HighwayEnv
 from rail_sumo.highway.network import demand, road
+from rail_sumo.highway.network.edge import Edge
 from rail_sumo.highway.network.road import Road
 from rail_sumo.highway.stretch import Stretch
 from rail_sumo.highway.traffic import entry
@@ -51,7 +52,7 @@ class Findings:
     @property
     def limits_kmh(self) -> tuple[int, int]:
         """The lowest and the highest speed limit of the course's edges; where there is none, what a car can do."""
-        limits = [round(min(edge.limit_mps, FASTEST_CAR_MPS) * KMH) for edge in self.road.edges]
+        limits = [round(_limit_mps(edge) * KMH) for edge in self.road.edges]
         return min(limits), max(limits)
 
     @property
@@ -71,7 +72,7 @@ class Findings:
                     "id": edge.id,
                     "length_m": round(edge.length_m, 2),
                     "lanes": edge.n_lanes,
-                    "limit_kmh": round(min(edge.limit_mps, FASTEST_CAR_MPS) * KMH, 1),
+                    "limit_kmh": round(_limit_mps(edge) * KMH, 1),
                     "ending_lanes": self.ending_lanes.get(edge.id, []),
                     "flow_vehph": round(self.flows_vehph[edge.id]) if self.flows_vehph else None,
                 }
@@ -102,6 +103,7 @@ def check(world: Config, *, seed: int = 0) -> Findings:
             *_short_routes(env),
             *_backlog(env),
             *_slowness(env),
+            *_haste(env),
             *_solitude(env),
         ]
         host, enters_s, n_signals = env.host_name, env.agent.host.depart_s, env.n_signals_ahead
@@ -157,6 +159,20 @@ def _short_routes(env: HighwayEnv) -> Iterator[str]:
         yield (
             f"no car on {n_short} of the {len(routes_m)} routes that are driven when the host enters is ever the host: "
             f"they are shorter than {shortest_m:g} m (traffic.shortest_route_m), unless others depart too seldom"
+        )
+
+
+def _limit_mps(edge: Edge) -> float:
+    return edge.limit_mps if math.isfinite(edge.limit_mps) else FASTEST_CAR_MPS
+
+
+def _haste(env: HighwayEnv) -> Iterator[str]:
+    """Tell of limits that no car keeps to, as where a network has been written in km/h."""
+    highest_mps = max(map(_limit_mps, env.stretch.road.edges))
+    if highest_mps > FASTEST_CAR_MPS:
+        yield (
+            f"the limit is up to {highest_mps * KMH:.0f} km/h ({highest_mps:g} m/s): networks tell speeds in m/s; the "
+            f"host takes what is above {FASTEST_CAR_MPS * KMH:.0f} km/h as that"
         )
 
 

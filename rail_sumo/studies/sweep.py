@@ -107,7 +107,7 @@ class Sweep:
                 driven.append(rows)
                 self.observer.advance({})
         table = report.typed(pd.concat(driven, ignore_index=True), TRAFFIC_COLUMNS)
-        if not table.loc[table["vehicles"] == traffic.DRIVEN, "n_vehicles"].any():
+        if not (self._leaves_all or table.loc[table["vehicles"] == traffic.DRIVEN, "n_vehicles"].any()):
             for one in work:
                 one.discard()
             raise InputError(self._nobody_drives(table, warm_up_s))
@@ -133,6 +133,11 @@ class Sweep:
         else:
             sweep_report.draw(tables, self.out / FIGURES)
         return tables
+
+    @property
+    def _leaves_all(self) -> bool:
+        """Whether all vehicles are to be as they are."""
+        return set(self.drivers) == {AS_THEY_ARE}
 
     def _check(self) -> None:
         if self.seeds < 1:
@@ -171,8 +176,10 @@ class Sweep:
             twice = next((one for one in given if given.count(one) > 1), None)
             if twice is not None:
                 raise InputError(f"{what} {twice} is given twice; leave one out")
-        if not [share for share in self.shares if share]:
-            raise InputError("give at least one share above 0; share 0 is always driven beside")
+        if not self._leaves_all and not any(self.shares):
+            raise InputError(
+                f"give at least one share above 0; share 0 is always driven beside, and alone by --driver {AS_THEY_ARE}"
+            )
         for name in self.drivers:
             if drivers.hands_off(name) and name != AS_THEY_ARE:
                 raise InputError(f"driver '{name}' drives one vehicle; for SUMO's own drivers take '{AS_THEY_ARE}'")

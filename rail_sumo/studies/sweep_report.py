@@ -58,7 +58,7 @@ def draw(tables: Tables, folder: Path) -> None:
     """
     across, along = ("share", "share of the cars") if tables.key == SHARE else ("setting", tables.key)
     of_all, of_seeds = (one[one["vehicles"] == traffic.ALL] for one in (tables.summary, tables.traffic))
-    who = (*tables.drivers, *([AS_THEY_ARE] if tables.key != SHARE else ()))
+    who = (*tables.drivers, *([AS_THEY_ARE] if tables.key != SHARE or not tables.drivers else ()))
     for measure in MEASURED:
         curves, points = {}, []
         for driver in who:
@@ -114,7 +114,7 @@ def markdown(tables: Tables, road: str, *, command: str = "") -> str:
         for row in told_rows(tables.traffic, tables.differences)
     ]
     lines = [
-        f"# {road}: {', '.join(tables.drivers)}",
+        f"# {road}: {', '.join(tables.drivers) or 'as they are'}",
         "",
         _caption(tables, "in brackets"),
         "",

@@ -20,6 +20,9 @@ SLOWER, SLOWER_S, EVEN = 2.0, 10.0, 1.5
 """Vehicles lose on an edge where each loses so many times as long there as at share 0, and so much longer; where the
 time loss of all together is this many times as long, they lose everywhere."""
 
+FEW_TRIPS = 10
+"""Of fewer trips in a period a mean tells little."""
+
 
 def of_runs(table: pd.DataFrame, edges: pd.DataFrame) -> Iterator[str]:
     """Yield a note for each of what follows that the runs show.
@@ -30,6 +33,7 @@ def of_runs(table: pd.DataFrame, edges: pd.DataFrame) -> Iterator[str]:
     """
     yield from backlog(table)
     yield from growth(table)
+    yield from few_trips(table)
     yield from full_starts(table)
     yield from locks(table)
     yield from stuck(table, edges)
@@ -67,6 +71,18 @@ def growth(table: pd.DataFrame) -> Iterator[str]:
         yield (
             f"the road fills up in the period, by vehicles in the mean over seeds: {_listed(told)}: figures depend on "
             "when it begins and ends"
+        )
+
+
+def few_trips(table: pd.DataFrame) -> Iterator[str]:
+    """Tell where few vehicles enter in the period, since some measures are of their trips alone."""
+    entered = shares.of_all_vehicles(table).groupby(shares.ARM)["inserted"].min()
+    few = entered[entered < FEW_TRIPS]
+    if len(few):
+        told = [f"{shares.called(*arm)} {n:.0f}" for arm, n in few.items()]
+        yield (
+            f"few vehicles enter in the period of a run (column inserted), at the least {_listed(told)}: travel times, "
+            "departure delays and CO2 are of those trips alone; begin earlier, or let the period be longer"
         )
 
 
