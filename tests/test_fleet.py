@@ -57,9 +57,26 @@ def test_on_a_street_with_signals_driven_cars_touch_nobody_where_they_turn_acros
     assert not list(ElementTree.parse(tmp_path / "c.xml").iter("collision"))
 
 
-def test_driven_cars_pass_lorries_that_wait_within_a_crossing_and_touch_none(tmp_path):
+def in_the_mirror(network, size_m):
+    """The same network of so many metres upwards, driven on the left."""
+
+    def flipped(match):
+        points = (point.split(",") for point in match[2].split())
+        return match[1] + " ".join(f"{x},{size_m - float(y):.2f}" for x, y in points) + '"'
+
+    text = re.sub(r'(shape=")([^"]*)"', flipped, network.read_text())
+    text = re.sub(r'(<junction [^>]* y=")([^"]*)"', lambda at: f'{at[1]}{size_m - float(at[2]):.2f}"', text)
+    return text.replace("<net ", '<net lefthand="true" ', 1)
+
+
+@pytest.mark.parametrize("drives_on", ["the right", "the left"])
+def test_driven_cars_pass_lorries_that_wait_within_a_crossing_and_touch_none(tmp_path, drives_on):
     """SUMO's cars touch their corners, three of four; driven ones touched them, or stood before them for ever."""
     network, demand = Path(__file__).with_name("left_turns.net.xml"), tmp_path / "left.rou.xml"
+    if drives_on == "the left":
+        mirrored = tmp_path / "mirrored.net.xml"
+        mirrored.write_text(in_the_mirror(network, 500.0))
+        network = mirrored
     flow = '<flow id="{}" from="{}" to="{}" begin="0" end="300" departSpeed="max" '.format
     demand.write_text(
         '<routes><vType id="lorry" vClass="truck"/><vType id="car"/>'
