@@ -214,12 +214,12 @@ def test_limits_ahead_are_those_of_the_edges_that_follow_as_far_as_one_can_see(n
 
     ways = [leads_on(*way, [0, 1]) for way in ("ab", "bc", "cd")]
     chain = road.load(network(*limited(30, 20, 10, 5), *ways))
-    assert chain.edges[0].limits_ahead == ((0.0, 20.0), (200.0, 10.0), (400.0, 5.0))
-    assert chain.edges[3].limits_ahead == ()
+    assert chain.edges[0].limits_ahead == (((0.0, 20.0), (200.0, 10.0), (400.0, 5.0)),) * 2
+    assert chain.edges[3].limits_ahead == ((), ())
     loop = road.load(network(*limited(30, 20, 10, 5), *ways, leads_on("d", "a", [0, 1])))
-    assert loop.edges[3].limits_ahead == ((0.0, 30.0), (200.0, 20.0), (400.0, 10.0))
+    assert loop.edges[3].limits_ahead == (((0.0, 30.0), (200.0, 20.0), (400.0, 10.0)),) * 2
     far = road.load(network(*limited(30, 20, 10, 5, x=(0.0, 600.0)), *ways))
-    assert far.edges[0].limits_ahead == ((0.0, 20.0),)
+    assert far.edges[0].limits_ahead == (((0.0, 20.0),),) * 2
 
 
 def test_a_limit_ahead_is_the_fastest_lanes_and_begins_where_its_edge_does(network):
@@ -231,7 +231,7 @@ def test_a_limit_ahead_is_the_fastest_lanes_and_begins_where_its_edge_does(netwo
 
     edges = limited("a", (0.0, 70.0), 30, 30), limited("b", (70.0, 200.0), 10, 20), limited("c", (200.0, 900.0), 15, 5)
     chain = road.load(network(*edges, *(leads_on(*way, [0, 1]) for way in ("ab", "bc"))))
-    assert chain.edges[0].limits_ahead == ((0.0, 20.0), (130.0, 15.0))
+    assert chain.edges[0].limits_ahead == (((0.0, 20.0), (130.0, 15.0)),) * 2
 
 
 def test_on_a_loop_a_lane_that_ends_after_the_first_edge_leads_on_no_farther(network):
@@ -382,9 +382,17 @@ def test_where_lanes_go_on_side_by_side_the_inside_of_a_junction_is_told_as_an_e
     assert (inside.to_left_m, inside.to_right_m) == ((3.2, 3.2, 0.0), (0.0, 3.2, 0.0))  # as on the edge behind it
     assert inside.left_goes_on_m == (258.0, 258.0, 0.0)
     assert inside.right_goes_on_m == (0.0, 258.0, 0.0)
-    assert inside.limits_ahead == ((0.0, 36.11), (50.0, 36.11), (58.0, 36.11))
+    assert inside.limits_ahead == (((0.0, 36.11), (50.0, 36.11), (58.0, 36.11)),) * 3
     assert set(inside.leads_on_m) == {math.inf}
     assert not cut().joints
+
+
+def test_a_limit_within_a_junction_is_that_of_the_lane_that_leads_there(cut):
+    inside = 'id=":cut0_0_2" index="2" speed="36.11"'
+    bend = cut((inside, inside.replace("36.11", "7.00")), inside_m=8.0)
+    here = bend.edges[0]
+    assert [limits[0] for limits in here.limits_ahead] == [(0.0, 36.11), (0.0, 36.11), (0.0, 7.0)]
+    assert [limits[1:] for limits in here.limits_ahead] == [here.limits_ahead[0][1:]] * 3
 
 
 def test_each_lane_tells_the_lanes_it_leads_to_and_those_before_it(cut):
@@ -538,6 +546,16 @@ def test_a_course_all_of_whose_lanes_are_closed_ends_before_them(tmp_path):
 
 
 # Edges that are not drawn to scale.
+
+
+@pytest.mark.parametrize(("says_m", "is_told"), [("34.00", False), ("50.00", True), ("12.00", True)])
+def test_short_edges_are_told_of_where_they_are_far_off_and_all_by_name(tmp_path, says_m, is_told):
+    file = tmp_path / "three.net.xml"
+    file.write_text(cut_road(600.0, 30.0, 30.0).replace('length="30.00"', f'length="{says_m}"'))
+    told = list(road.misdrawn(str(file)))
+    assert len(told) == is_told
+    for line in told:
+        assert "long and drawn 30 m (and so are 'part2'): vehicles" in line
 
 
 @pytest.mark.parametrize(

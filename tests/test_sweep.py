@@ -292,6 +292,16 @@ def test_vehicles_as_they_are_may_be_looked_at_alone(world, tmp_path, figures, s
     assert (tmp_path / "out" / "figures" / "speed_kmh.svg").exists()
 
 
+@pytest.mark.parametrize(("theirs", "ours", "is_told"), [(1.3, 13.1, True), (1.3, 3.0, False), (0.1, 1.0, False)])
+def test_driven_cars_that_change_lanes_far_more_often_than_as_they_are_are_told_of(theirs, ours, is_told):
+    about = {"vehicles": "driven", "setting": "", "share": 1.0, "seed": 0}
+    rates = {"sumo": theirs, "road-rail": ours}
+    table = pd.DataFrame([about | {"driver": one, "lane_changes_per_vehkm": rate} for one, rate in rates.items()])
+    told = list(cautions.restless(table))
+    assert len(told) == is_told
+    assert all("as they are: road-rail at 100% 13.1 times a km, as they are 1.3: a learned" in line for line in told)
+
+
 def test_measures_of_trips_are_told_to_be_of_few_where_few_begin_in_the_period():
     about = {"vehicles": "all", "setting": "", "driver": "rule", "share": 1.0}
     table = pd.DataFrame([about | {"seed": seed, "inserted": number} for seed, number in enumerate((30, 2))])

@@ -127,7 +127,8 @@ def test_a_limit_factor_holds_on_the_course_for_the_host_and_for_everybody_else(
 def test_limits_ahead_are_multiplied_too():
     plain, faster = (road.load("ring5", limit_factor=factor) for factor in (1.0, 1.25))
     for one, other in zip(plain.edges, faster.edges, strict=True):
-        assert [(beyond_m, limit * 1.25) for beyond_m, limit in one.limits_ahead] == list(other.limits_ahead)
+        for lane, faster_lane in zip(one.limits_ahead, other.limits_ahead, strict=True):
+            assert [(beyond_m, limit * 1.25) for beyond_m, limit in lane] == list(faster_lane)
 
 
 def test_an_episode_to_learn_from_that_cannot_begin_is_replaced_by_the_next_of_its_seed(monkeypatch):

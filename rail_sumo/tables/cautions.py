@@ -1,5 +1,6 @@
 """What the runs of a sweep tell against its own figures: who waits, where the road fills up or locks, who loses."""
 
+import math
 from collections.abc import Iterator, Sequence
 
 import pandas as pd
@@ -20,6 +21,8 @@ SLOWER, SLOWER_S, EVEN = 2.0, 10.0, 1.5
 """Vehicles lose on an edge where each loses so many times as long there as at share 0, and so much longer; where the
 time loss of all together is this many times as long, they lose everywhere."""
 
+RESTLESS, RESTLESS_PER_KM = 3.0, 2.0
+"""Cars change lanes far more often than others at so many times their rate, and so often a kilometre."""
 FEW_TRIPS = 10
 """Of fewer trips in a period a mean tells little."""
 
@@ -39,6 +42,7 @@ def of_runs(table: pd.DataFrame, edges: pd.DataFrame) -> Iterator[str]:
     yield from stuck(table, edges)
     yield from contacts(table)
     yield from breakdowns(table)
+    yield from restless(table)
     yield from alike(table)
     yield from emptied(edges)
     yield from losers(edges)
@@ -153,6 +157,22 @@ def contacts(table: pd.DataFrame) -> Iterator[str]:
             f"same time in several runs, which are no independent ones. Of these contacts "
             f"{driven['collisions'].sum()} were of driven cars; those of SUMO's vehicles alone, as where a lorry waits "
             "in the way of others, are no gain or loss in safety that driven cars bring"
+        )
+
+
+def restless(table: pd.DataFrame) -> Iterator[str]:
+    """Tell where driven cars change lanes many times as often as the same cars do as they are."""
+    of_cars = table[table["vehicles"] == traffic.DRIVEN]
+    rates = of_cars.groupby(shares.ARM, sort=False)["lane_changes_per_vehkm"].mean()
+    told = []
+    for (driver, setting, share), rate in rates.items():
+        theirs = rates.get((shares.AS_THEY_ARE, setting, share), math.nan)
+        if driver != shares.AS_THEY_ARE and rate > max(RESTLESS * theirs, RESTLESS_PER_KM):
+            told.append(f"{shares.called(driver, setting, share)} {rate:.1f} times a km, as they are {theirs:.1f}")
+    if told:
+        yield (
+            f"driven cars change lanes far more often than the same cars do as they are: {_listed(told)}: a learned "
+            "driver may do so for nothing, as where bends are tight; see docs/limits.md, and compare with rule"
         )
 
 

@@ -2,6 +2,9 @@
 
 from dataclasses import dataclass, replace
 
+Limits = tuple[tuple[float, float], ...]
+"""Metres beyond an edge's end, and the speed limit in m/s from there on."""
+
 
 @dataclass(frozen=True, slots=True)
 class Edge:
@@ -11,8 +14,8 @@ class Edge:
     length_m: float
     limit_mps: float
     """The highest speed that is allowed on any of its lanes."""
-    limits_ahead: tuple[tuple[float, float], ...]
-    """Metres beyond its end, and the limit from there on, through junctions and over edges, as far as `FORESIGHT_M`."""
+    limits_ahead: tuple[Limits, ...]
+    """For each lane: the limits that follow, through junctions as the lane leads on, as far as `FORESIGHT_M`."""
     lane_widths_m: tuple[float, ...]
     to_left_m: tuple[float, ...]
     """For each lane: from its centre to that of the lane to its left; 0 where there is none or a line forbids it."""
@@ -45,5 +48,5 @@ class Edge:
 
     def limited(self, factor: float) -> "Edge":
         """Return the same edge where every speed limit is multiplied by a factor."""
-        ahead = tuple((beyond_m, limit_mps * factor) for beyond_m, limit_mps in self.limits_ahead)
+        ahead = tuple(tuple((beyond_m, mps * factor) for beyond_m, mps in lane) for lane in self.limits_ahead)
         return replace(self, limit_mps=self.limit_mps * factor, limits_ahead=ahead)

@@ -8,7 +8,7 @@ from statistics import fmean
 from typing import Any, NamedTuple
 
 from rail_sumo.highway.network.course import Way
-from rail_sumo.highway.network.edge import Edge
+from rail_sumo.highway.network.edge import Edge, Limits
 
 CHANGE_LEFT, CHANGE_RIGHT = "changeLeft", "changeRight"
 """The attributes of a lane that list who may change from it."""
@@ -96,19 +96,28 @@ def _backwards(way: Way) -> Iterator[tuple[int, int]]:
         yield k, (k + 1) % n
 
 
-def _limits_ahead(net: Any, way: Way, junctions_m: Sequence[float]) -> Iterator[tuple[tuple[float, float], ...]]:
-    # Behind a chain's last edge, which has no joint, there is nothing.
-    for first in range(len(way.edges)):
-        k, limits, beyond_m = first, [], 0.0
-        while way.joints[k] and beyond_m < FORESIGHT_M:
-            inside = [lane.getSpeed() for connection in way.joints[k] for lane in within(net, connection)]
-            if inside:
-                limits.append((beyond_m, min(inside)))
-            beyond_m += junctions_m[k]
-            k = (k + 1) % len(way.edges)
-            limits.append((beyond_m, _limit_mps(way.lanes[k])))
-            beyond_m += way.edges[k].getLength()
-        yield tuple(limits)
+def _limits_ahead(net: Any, way: Way, junctions_m: Sequence[float]) -> list[tuple[Limits, ...]]:
+    # For every edge's lanes.
+    return [
+        tuple(_limits_beyond(net, way, junctions_m, k, lane) for lane in lanes) for k, lanes in enumerate(way.lanes)
+    ]
+
+
+def _limits_beyond(net: Any, way: Way, junctions_m: Sequence[float], k: int, lane: Any) -> Limits:
+    # The limits beyond a lane of edge k: within junctions those of the lanes that it leads on to, or of all where it
+    # ends; of edges the highest. Behind a chain's last edge, which has no joint, there is nothing.
+    limits, beyond_m, lanes = [], 0.0, {lane}
+    while way.joints[k] and beyond_m < FORESIGHT_M:
+        joint = [c for c in way.joints[k] if c.getFromLane() in lanes] or way.joints[k]
+        inside = [lane.getSpeed() for connection in joint for lane in within(net, connection)]
+        if inside:
+            limits.append((beyond_m, min(inside)))
+        beyond_m += junctions_m[k]
+        k = (k + 1) % len(way.edges)
+        limits.append((beyond_m, _limit_mps(way.lanes[k])))
+        beyond_m += way.edges[k].getLength()
+        lanes = {c.getToLane() for c in joint}
+    return tuple(limits)
 
 
 def _limit_mps(lanes: list[Any]) -> float:
@@ -182,7 +191,7 @@ def _edge(
     lanes: list[Any],
     way: Way,
     leads_on_m: tuple[float, ...],
-    limits_ahead: tuple[tuple[float, float], ...],
+    limits_ahead: tuple[Limits, ...],
     left_goes_on_m: tuple[float, ...],
     right_goes_on_m: tuple[float, ...],
 ) -> Edge:
@@ -218,7 +227,10 @@ def _inside_edge(net: Any, joint: Joint, abreast: list[Pair], ahead: Edge, way: 
         id=lanes[0].getEdge().getID(),
         length_m=min(lane.getLength() for lane in lanes),
         limit_mps=_limit_mps(lanes),
-        limits_ahead=((0.0, ahead.limit_mps), *((ahead.length_m + m, limit) for m, limit in ahead.limits_ahead)),
+        limits_ahead=tuple(
+            ((0.0, ahead.limit_mps), *((ahead.length_m + m, limit) for m, limit in ahead.limits_ahead[k]))
+            for k in there
+        ),
         lane_widths_m=tuple(lane.getWidth() for lane in lanes),
         to_left_m=to_left_m,
         to_right_m=to_right_m,

@@ -26,6 +26,10 @@ from rail_sumo.records import Floats
 
 NOT_TO_SCALE, NOT_TO_SCALE_M = 0.25, 20.0
 """By what part of its length, and by how much, an edge is drawn longer or shorter where that is told."""
+FAR_OFF, FAR_OFF_M = 1 / 3, 8.0
+"""Or by what larger part, and by how much: of short edges."""
+MOST_TOLD = 12
+"""So many more of them are named."""
 NARROWEST_LANE_M = 2.4
 """A car of 1.8 m with 0.3 m to either side."""
 
@@ -170,13 +174,16 @@ def misdrawn(file: str, among: Container[str] | None = None) -> Iterator[str]:
     for edge in read(file).getNet().getEdges(withInternal=False):
         drawn_m, length_m = polyLength(edge.getLanes()[0].getShape()), edge.getLength()
         off_m = abs(drawn_m - length_m)
-        if off_m > max(NOT_TO_SCALE * length_m, NOT_TO_SCALE_M) and (among is None or edge.getID() in among):
+        is_far_off = off_m > max(FAR_OFF * length_m, FAR_OFF_M)
+        is_off = is_far_off or off_m > max(NOT_TO_SCALE * length_m, NOT_TO_SCALE_M)
+        if is_off and (among is None or edge.getID() in among):
             found.append(f"'{edge.getID()}' is {length_m:.0f} m long and drawn {drawn_m:.0f} m")
     if found:
-        more = f" (and {len(found) - 1} more)" if found[1:] else ""
+        names = [told.partition(" ")[0] for told in found[1:]]
+        more = f" (and so are {', '.join(names)})" if len(names) <= MOST_TOLD else f" (and {len(names)} more)"
         yield (
-            f"edge {found[0]}{more}: vehicles move by the length and are sensed, overtaken and shown where they are "
-            "drawn, so that figures of driven cars are wrong; draw it to scale, or correct its length"
+            f"edge {found[0]}{more * bool(names)}: vehicles move by the length and are sensed, overtaken and shown where "
+            "they are drawn, so that figures of driven cars are wrong; draw it to scale, or correct its length"
         )
 
 

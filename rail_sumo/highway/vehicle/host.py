@@ -215,7 +215,7 @@ class Host:
             limit_mps=limit_mps,
             left_goes_on_m=edge.left_goes_on_m[here],
             right_goes_on_m=edge.right_goes_on_m[here],
-            limits_ahead=edge.limits_ahead,
+            limits_ahead=edge.limits_ahead[here],
             stops_ahead=stops,
             sumos_lane_changes=self.sumos_lane_changes,
             queued_m=() if self._sumo_drives else self._queues.queued_m(edge),
@@ -261,7 +261,9 @@ class Host:
         ahead, to_it_m = self.junctions.next_edge(), to_lane_end_m(self.name)
         if ahead is None:
             return ()
-        beyond = ((to_it_m + ahead.length_m + metres, limit) for metres, limit in ahead.limits_ahead)
+        lane = self.junctions.next_lane()
+        here = lane - ahead.first_lane if lane in ahead.lanes else 0
+        beyond = ((to_it_m + ahead.length_m + metres, limit) for metres, limit in ahead.limits_ahead[here])
         return (to_it_m, ahead.limit_mps), *beyond
 
     @property

@@ -70,6 +70,11 @@ class Junctions:
         way = way_of(self._name)
         return self._edges.get(way[1]) if len(way) > 1 else None
 
+    def next_lane(self) -> int:
+        """Return the index of the lane that the one that it is on leads to beyond the junction; -1 if none."""
+        links = libsumo.lane.getLinks(libsumo.vehicle.getLaneID(self._name))
+        return int(links[0][0].rpartition("_")[2]) if links else -1
+
     def heed_signals(self, speed_mps: float) -> None:
         """Have SUMO drive past a signal for which it is too late to stop, and note what all of them show."""
         signals, hardest = self._signals(), self._adas.emergency_braking_mps2
