@@ -182,8 +182,8 @@ def misdrawn(file: str, among: Container[str] | None = None) -> Iterator[str]:
         names = [told.partition(" ")[0] for told in found[1:]]
         more = f" (and so are {', '.join(names)})" if len(names) <= MOST_TOLD else f" (and {len(names)} more)"
         yield (
-            f"edge {found[0]}{more * bool(names)}: vehicles move by the length and are sensed, overtaken and shown where "
-            "they are drawn, so that figures of driven cars are wrong; draw it to scale, or correct its length"
+            f"edge {found[0]}{more * bool(names)}: vehicles move by the length and are sensed, overtaken and shown "
+            "where they are drawn, so that figures of driven cars are wrong; draw it to scale, or correct its length"
         )
 
 
