@@ -215,7 +215,9 @@ def _rays(columns, vehicles, lateral, n_frames):
 
 def _holding(rng, n_frames):
     changes = rng.integers(0, n_frames, 40)
-    values = rng.choice(len(get_args(Holding)), 41, p=[0.35, 0.05, 0.05, 0.05, 0.3, 0.02, 0.08, 0.05, 0.05, 0.0, 0.0])
+    often = {"set speed": 0.35, "vehicle ahead": 0.3, "emergency": 0.02, "signal": 0.08}
+    often |= dict.fromkeys(("limit", "limit ahead", "top speed", "right of way", "lane end"), 0.05)
+    values = rng.choice(len(get_args(Holding)), 41, p=[often.get(name, 0.0) for name in get_args(Holding)])
     return values[np.searchsorted(np.sort(changes), np.arange(n_frames), side="right")].astype(np.int8)
 
 

@@ -16,6 +16,8 @@ from rail_sumo.highway.stretch import Stretch
 from rail_sumo.highway.traffic import entry
 from rail_sumo.records import KMH, SECONDS_PER_STEP, MetaAction
 
+NO_LIMIT_MPS = 300.0
+"""What is above is no limit."""
 MANY_WAITING = 10
 """From so many waiting vehicles on, a check warns of them."""
 WATCHED_DECISIONS = 60
@@ -163,7 +165,7 @@ def _short_routes(env: HighwayEnv) -> Iterator[str]:
 
 
 def _limit_mps(edge: Edge) -> float:
-    return edge.limit_mps if math.isfinite(edge.limit_mps) else FASTEST_CAR_MPS
+    return edge.limit_mps if edge.limit_mps < NO_LIMIT_MPS else FASTEST_CAR_MPS
 
 
 def _haste(env: HighwayEnv) -> Iterator[str]:
