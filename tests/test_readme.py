@@ -91,7 +91,7 @@ def test_the_configuration_shown_is_one_and_changes_what_it_names(tmp_path):
 @pytest.mark.slow
 def test_the_python_shown_runs_in_an_empty_folder(tmp_path):
     (training,) = shown("docs/start.md", "python")
-    edges, waves, one_run = shown("docs/share.md", "python")
+    edges, waves, stops, one_run = shown("docs/share.md", "python")
     over_trainings, apart = shown("docs/learners.md", "python")
     (environment,) = shown("README.md", "python")
     (floating_car_data,) = shown("docs/watch.md", "python")
@@ -102,8 +102,9 @@ def test_the_python_shown_runs_in_an_empty_folder(tmp_path):
         shutil.copytree(tmp_path / "runs" / "linear", tmp_path / "runs" / f"mine-seed{seed}")
     (tmp_path / "over_trainings.py").write_text(over_trainings.replace("episodes=16", "episodes=1"), encoding="utf-8")
     assert re.fullmatch(r"[01]\.\d+ \(.* to .*\) of the expert's speed", run(tmp_path, "over_trainings.py").strip())
-    brief = apart.replace("range(16)", "range(4)").replace('"]', '", "episode.duration_s=60"]', 1)
-    assert re.fullmatch(r"told apart: [01]\.\d\d", run(tmp_path, "-c", brief).strip())
+    brief = apart.replace("episodes=16", "episodes=4").replace('"]', '", "episode.duration_s=60"]', 1)
+    (tmp_path / "apart.py").write_text(brief, encoding="utf-8")
+    assert re.fullmatch(r"told apart: [01]\.\d\d", run(tmp_path, "apart.py").strip())
     assert "(48,)" in run(tmp_path, "-c", environment + "print(observation.shape)\n")
     (command,) = re.findall(r"# rail-sumo (eval .*)", floating_car_data)
     run(tmp_path, "-c", "from rail_sumo import cli; cli.main()", *command.split(), "--episodes", "1")
@@ -113,6 +114,8 @@ def test_the_python_shown_runs_in_an_empty_folder(tmp_path):
     assert {"share", "type", "van", "edge"} <= set(run(tmp_path, "-c", edges).split())
     run(tmp_path, "-c", waves)
     assert (tmp_path / "waves.png").stat().st_size > 10_000
+    counted = run(tmp_path, "-c", waves + stops.replace("120.0", "30.0")).strip()
+    assert re.fullmatch(r"\d+\.\d\d stops a vehicle, \d+\.\d s standing", counted)
     run(tmp_path, "-c", one_run.replace("seed(4,", "seed(0,").replace("720.0", "90.0"))
     alone, rows = pd.read_parquet(tmp_path / "seed4.parquet"), pd.read_csv(tmp_path / "share" / "traffic.csv")
     speed_kmh = 3.6 * alone.loc[alone["timestep_time"].between(30.0, 89.9), "vehicle_speed"].mean()
