@@ -241,6 +241,11 @@ def attempt_all(
     yield from _drive_all(attempt, work, tasks, number, observer)
 
 
+def drive_all(work: str, tasks: list[Task], number: WorkerCount, observer: Observer = SILENT) -> Iterator[Trajectory]:
+    """Yield the tasks' trajectories in their order; see `drive` and `workers`."""
+    yield from _drive_all(drive, work, tasks, number, observer)
+
+
 def _drive_all(
     how: Callable[[Task], Driven], work: str, tasks: list[Task], number: WorkerCount, observer: Observer
 ) -> Iterator[Driven]:

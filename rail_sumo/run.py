@@ -34,6 +34,7 @@ from rail_sumo.rollout import (
     WorkerCount,
     attempt_all,
     deciders,
+    drive_all,
     practise_all,
     traffic_seed,
 )
@@ -245,11 +246,7 @@ def drive(
     who = roster.who_drives(driver, world)
     require_drivable(world, episodes, [who])
     tasks = [Task(who, world, traffic_seed(seed, EVALUATION, episode)) for episode in range(episodes)]
-    driven = list(attempt_all("drive", tasks, workers, observer))
-    undriven = next((one for one in driven if isinstance(one, Undriven)), None)
-    if undriven:
-        raise InputError(undriven.why)
-    return [one for one in driven if isinstance(one, Trajectory)]
+    return list(drive_all("drive", tasks, workers, observer))
 
 
 def record(

@@ -69,8 +69,7 @@ def evaluate(
 
     The world is that of --config, of the first run directory among the policies, or the default; options change it.
     """
-    from rail_sumo import origin, replay, roster, run
-    from rail_sumo.tables import report
+    from rail_sumo import replay, roster, run
 
     _require_place(out, {"--fcd": (FCD, fcd), "--replay": (REPLAYS, bool(replays))}, overwrite=overwrite)
     n_workers = workers_of(workers)
@@ -78,17 +77,8 @@ def evaluate(
     world, who, doubts = _found(policies, choice.overrides, config_path)
 
     def keep(tables: "Tables", whole: Path, **more: Any) -> None:
-        tables.save(whole)
-        learned = {policy: roster.content_of(policy, world) for policy in policies}
-        notes = [
-            *choice.notes,
-            *doubts,
-            *bars.notes,
-            *report.cut_short(tables.episodes),
-            *report.alike(tables.episodes),
-        ]
-        drove: dict[str, Any] = {"drivers": learned, "modes": roster.modes_of(who)}
-        origin.describe(whole, world, typed(), seed=seed, episodes=episodes, notes=notes, **drove, **more)
+        notes = [*choice.notes, *doubts, *bars.notes]
+        _keep(tables, whole, world, who, notes, seed=seed, episodes=episodes, **more)
 
     try:
         place = files.whole_folder(out, overwrite=overwrite) if out and fcd else nullcontext()
@@ -131,6 +121,19 @@ def evaluate(
             print(f"rail-sumo: interrupted; the tables are in {out}, without pages to watch", file=sys.stderr)
             raise typer.Exit(130) from None
         print(f"pages to watch in {out / REPLAYS}")
+
+
+def _keep(
+    tables: "Tables", whole: Path, world: "Config", who: "Mapping[str, Who]", notes: list[str], **more: Any
+) -> None:
+    """Write an evaluation's tables into a folder that is not whole yet, and beside them what made them."""
+    from rail_sumo import origin, roster
+    from rail_sumo.tables import report
+
+    tables.save(whole)
+    notes = [*notes, *report.cut_short(tables.episodes), *report.alike(tables.episodes)]
+    learned = {policy: roster.content_of(policy, world) for policy in who}
+    origin.describe(whole, world, typed(), notes=notes, drivers=learned, modes=roster.modes_of(who), **more)
 
 
 def _require_place(out: Path | None, beside: Mapping[str, tuple[str, bool]], *, overwrite: bool) -> None:

@@ -154,7 +154,7 @@ def contacts(table: pd.DataFrame) -> Iterator[str]:
     if len(touched):
         yield (
             f"vehicles touched (column collisions), with the seeds {_seeds(touched)}; they may be the same two at the "
-            f"same time in several runs, which are no independent ones. Of these contacts "
+            "same time in several runs, which are no independent ones. Of these contacts "
             f"{driven['collisions'].sum()} were of driven cars; those of SUMO's vehicles alone, as where a lorry waits "
             "in the way of others, are no gain or loss in safety that driven cars bring"
         )

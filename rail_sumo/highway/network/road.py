@@ -179,10 +179,11 @@ def misdrawn(file: str, among: Container[str] | None = None) -> Iterator[str]:
         if is_off and (among is None or edge.getID() in among):
             found.append(f"'{edge.getID()}' is {length_m:.0f} m long and drawn {drawn_m:.0f} m")
     if found:
-        names = [told.partition(" ")[0] for told in found[1:]]
-        more = f" (and so are {', '.join(names)})" if len(names) <= MOST_TOLD else f" (and {len(names)} more)"
+        names = [one.partition(" ")[0] for one in found[1:]]
+        told = f"so are {', '.join(names)}" if len(names) <= MOST_TOLD else f"{len(names)} more"
+        more = f" (and {told})" if names else ""
         yield (
-            f"edge {found[0]}{more * bool(names)}: vehicles move by the length and are sensed, overtaken and shown "
+            f"edge {found[0]}{more}: vehicles move by the length and are sensed, overtaken and shown "
             "where they are drawn, so that figures of driven cars are wrong; draw it to scale, or correct its length"
         )
 

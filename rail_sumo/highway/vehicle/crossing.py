@@ -1,4 +1,4 @@
-"""Whoever stands or drives across the host's way through a junction, how fast it may go on then, and past whom.
+"""Others in the host's way through a junction: how far that is free, how fast it may go on, and how it passes them.
 
 SUMO keeps vehicles apart by right of way before they enter a junction. Inside, where one is stuck across the other's
 way, it lets them touch. Pure.
@@ -16,8 +16,10 @@ CROSSES_RAD = math.radians(30.0)
 """Whoever's heading differs by more than this from that of the host's way there drives across it, or against it."""
 CLEAR_M = 0.5
 """The room that is left to them, ahead."""
-BESIDE_M, LEAST_BESIDE_M = 0.4, 0.2
-"""The room that is left beside those who are passed, and the least: whoever has that is not moved aside for."""
+BESIDE_M = 0.4
+"""The room that the host leaves beside whom it passes, if its lane is wide enough."""
+LEAST_BESIDE_M = 0.2
+"""The least that it leaves. It moves aside for nobody who has as much."""
 PASSING_MPS = 8.0
 """How fast they are passed, at most."""
 STRIDE_M = 0.1
