@@ -198,7 +198,7 @@ def fleet_of(who: Who | Instead, world: Config, share: float, seed: int, outputs
 
 
 WorkerCount = int | Literal["ray"]
-DROPS_S, ENDS_S = 0.1, 2.0
+DROPS_S, ENDS_S = 0.1, 20.0
 """Within these a pool has dropped tasks that are cancelled, which it stumbles over when a worker ends; and a worker has
 ended that is told to."""
 
