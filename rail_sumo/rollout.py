@@ -12,6 +12,7 @@ from concurrent.futures.process import BrokenProcessPool
 from contextlib import closing, contextmanager
 from dataclasses import dataclass, replace
 from functools import partial
+from multiprocessing.connection import wait
 from multiprocessing.process import BaseProcess
 from typing import Any, Literal, Protocol, TypeVar
 
@@ -324,9 +325,11 @@ def workers(number: WorkerCount, *, fresh: bool = False) -> Iterator[Workers]:
             "starts workers outside of if __name__ == '__main__'; --workers 1 drives in one process and tells which"
         ) from None
     except BaseException:
-        executor.shutdown(wait=False, cancel_futures=True)
+        ending = threading.Thread(target=executor.shutdown, kwargs={"cancel_futures": True})
+        ending.start()
         time.sleep(DROPS_S)
         _stop(set(multiprocessing.active_children()) - earlier_children)
+        ending.join()
         raise
     finally:
         executor.shutdown(cancel_futures=True)
@@ -337,8 +340,7 @@ def _stop(processes: Iterable[BaseProcess]) -> None:
     for process in processes:
         process.terminate()
     for process in processes:
-        process.join(ENDS_S)
-        if process.is_alive():
+        if not wait([process.sentinel], ENDS_S):  # the pool joins them: of two who do, one is told that it still lives
             process.kill()
 
 
