@@ -92,6 +92,8 @@ FASTEST_CAR_MPS = 200.0 / KMH
 """What a car can do, as SUMO has it; networks write a higher limit where a road has none."""
 SETTLE_S = 10.0
 """See `Adas.settle_s`; SUMO's own drivers hardly ever go back sooner."""
+GAIN_S = 5.0
+"""See `Adas.gain_s`."""
 
 
 class Traffic(_Section):
@@ -247,12 +249,22 @@ class Adas(_Section):
     """How long no decision takes the host back to the lane that it has crossed over from. A number, or by traffic: 10
     in your demand; 0 in made traffic, where a decision may reverse a lane change until it is complete, as in the paper.
     Out of a lane that does not lead on it goes at once."""
+    gain_s: Annotated[float, Field(ge=0.0, le=60.0)] | Literal["by traffic"] = "by traffic"
+    """Within what time a lane change that is decided must get the host farther than its own lane does. A number, or by
+    traffic: 5 in your demand; 0 in made traffic, where it need not, as in the paper. Towards a lane that leads on
+    farther it need not either."""
 
     def settles_s(self, *, in_demand: bool) -> float:
         """Return how long the host keeps to a lane that it has crossed over into, in your demand or in made traffic."""
         if self.settle_s == "by traffic":
             return SETTLE_S if in_demand else 0.0
         return self.settle_s
+
+    def gains_within_s(self, *, in_demand: bool) -> float:
+        """Return within what time a lane change must get the host farther, in your demand or in made traffic."""
+        if self.gain_s == "by traffic":
+            return GAIN_S if in_demand else 0.0
+        return self.gain_s
 
     def highest_mps(self, limit_mps: float) -> float:
         """Return the highest set speed where this is the limit."""

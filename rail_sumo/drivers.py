@@ -1,11 +1,12 @@
 """Whatever decides for the host: fixed rules, the expert, learned policies."""
 
+import copy
 import json
 import math
 from abc import ABC, abstractmethod
 from collections.abc import Mapping, Sequence
 from pathlib import Path
-from typing import Any, Protocol
+from typing import Any, Protocol, runtime_checkable
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -31,6 +32,14 @@ class Driver(Protocol):
 
     def decide(self, observation: Floats, agent: Agent) -> int:
         """Return the next `MetaAction`."""
+
+
+@runtime_checkable
+class Begins(Protocol):
+    """A driver that remembers or draws: others drive in its stead, each one vehicle for one episode."""
+
+    def begin(self, seed: int) -> Driver:
+        """Return a driver that remembers nothing yet, and draws by the seed; itself if it does neither."""
 
 
 class Keep:
@@ -92,6 +101,14 @@ class Network(ABC):
     """A learned driver: a network that gives each meta-action an output, from the observation alone."""
 
     senses: Senses | None
+
+    def begin(self, seed: int) -> "Network":
+        """Return the same network, which draws by the seed if it draws."""
+        return self
+
+    @abstractmethod
+    def decide(self, observation: Floats, agent: Agent) -> int:
+        """Return the next `MetaAction`."""
 
     @abstractmethod
     def outputs(self, observation: Floats, allowed: Sequence[bool]) -> Floats:
@@ -205,8 +222,13 @@ class Learned(Network):
         self._policy = parameters.policy()
         self._is_masked = parameters.masked
         self.senses = parameters.senses
-        # A stream of its own, beside the traffic's.
-        self._rng = np.random.default_rng([seed, 2]) if parameters.samples else None
+        self._rng = _drawn_by(seed) if parameters.samples else None
+
+    def begin(self, seed: int) -> "Learned":
+        """Return the same policy, which samples by the seed if it samples."""
+        again = copy.copy(self)
+        again._rng = None if self._rng is None else _drawn_by(seed)
+        return again
 
     def decide(self, observation: Floats, agent: Agent) -> int:
         """Return the most probable action, or a sampled one."""
@@ -232,6 +254,11 @@ class Learned(Network):
     def n_features(self) -> int:
         """How many numbers an observation has."""
         return self._policy.shape.n_features
+
+
+def _drawn_by(seed: int) -> np.random.Generator:
+    """Return a stream of its own, beside the traffic's."""
+    return np.random.default_rng([seed, 2])
 
 
 class Advised:

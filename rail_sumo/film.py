@@ -28,7 +28,7 @@ Holding = Literal[
 ]
 """What the host's speed followed: what the driver has set, or what the assistance layer made of it."""
 
-Why = Literal["", "no lane", "line", "gap", "room", "lane ends", "just left", "under way"]
+Why = Literal["", "no lane", "line", "gap", "room", "lane ends", "just left", "no gain", "under way"]
 """Why a lane change was not carried out; empty where it was, or where none was asked for."""
 
 Stays = Literal["", "lowest", "highest", "same"]

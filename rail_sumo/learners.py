@@ -72,9 +72,18 @@ class Practice:
         return self.drive([learner.acting(SAMPLED)] * n_rollouts, iteration)
 
     def advised(
-        self, learner: PolicyParameters, adviser: drivers.Driver, n_rollouts: int, iteration: int
+        self, learner: PolicyParameters, adviser: rollout.Who, n_rollouts: int, iteration: int
     ) -> list[tuple[Trajectory, NDArray[np.int64]]]:
-        """Drive by the policy; beside each rollout, what the adviser, any driver, would have decided."""
+        """Drive by the policy; beside each rollout, what the adviser would have decided.
+
+        The traffic is that of `drive` in the same iteration.
+
+        Args:
+            learner: who drives.
+            adviser: any driver, or the name of one: expert, rule, keep or random.
+            n_rollouts: how many rollouts.
+            iteration: which one it is.
+        """
         tasks = [replace(self._task(learner, iteration, i), adviser=adviser) for i in range(n_rollouts)]
         return list(self._pool.map(rollout.practise_advised, tasks))
 

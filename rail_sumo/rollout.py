@@ -1,5 +1,6 @@
 """Task -> Trajectory, and what drives many: serial, processes, Ray."""
 
+import copy
 import multiprocessing
 import os
 import pickle
@@ -48,8 +49,8 @@ def traffic_seed(seed: int, *key: int) -> int:
 ATTEMPTS = 10
 """How many episodes are tried for one to learn from."""
 
-Who = str | PolicyParameters | drivers.Expert
-"""Who drives, as it travels to a worker: a driver's name, or parameters."""
+Who = str | PolicyParameters | drivers.Driver
+"""Who drives, as it travels to a worker: a driver's name, parameters, or a driver itself."""
 
 
 @dataclass(frozen=True)
@@ -59,8 +60,8 @@ class Task:
     driver: Who
     config: Config
     seed: int
-    adviser: drivers.Driver | None = None
-    """Whose advice `drive_advised` notes."""
+    adviser: Who | None = None
+    """Whose advice `practise_advised` notes."""
     outputs: tuple[str, ...] = ()
     """Further options of SUMO's; see `HighwayEnv`."""
 
@@ -121,7 +122,8 @@ def _practise(how: Callable[[Task], Driven], task: Task) -> Driven:
 
 def _drive_advised(task: Task) -> tuple[Trajectory, NDArray[np.int64]]:
     assert task.adviser is not None
-    driver = drivers.Advised(driver_of(task.driver, task.config, task.seed), task.adviser)
+    adviser = driver_of(task.adviser, task.config, task.seed)
+    driver = drivers.Advised(driver_of(task.driver, task.config, task.seed), adviser)
     return _drive(task, driver), np.array(driver.advice, dtype=np.int64)
 
 
@@ -166,12 +168,21 @@ def _begin_episode(env: HighwayEnv, seed: int) -> Floats:
 
 
 def driver_of(who: Who, config: Config, seed: int) -> drivers.Driver:
-    """Return a driver for one episode; what it draws follows from the seed."""
+    """Return a driver of one vehicle for one episode; what it draws follows from the seed.
+
+    A driver itself tells by `begin(seed)` who that is. One without it is copied, so that what it remembers is the same
+    with one worker as with many; or drives as it is, if it cannot be copied.
+    """
     if isinstance(who, str):
         return drivers.by_name(who, config, seed)
     if isinstance(who, PolicyParameters):
         return drivers.Learned(who, seed)
-    return who
+    if isinstance(who, drivers.Begins):
+        return who.begin(seed)
+    try:
+        return copy.deepcopy(who)
+    except Exception:  # of whatever it holds: an open file, an environment in a process of its own
+        return who
 
 
 def deciders(who: Who, world: Config, seed: int) -> Callable[[str], Decide]:
@@ -242,6 +253,13 @@ def attempt_all(
     yield from _drive_all(attempt, work, tasks, number, observer)
 
 
+def practise_all_advised(
+    work: str, tasks: list[Task], number: WorkerCount, observer: Observer = SILENT
+) -> Iterator[tuple[Trajectory, NDArray[np.int64]]]:
+    """Yield what `practise_advised` returns, in the tasks' order; see `workers`."""
+    yield from _drive_all(practise_advised, work, tasks, number, observer)
+
+
 def drive_all(work: str, tasks: list[Task], number: WorkerCount, observer: Observer = SILENT) -> Iterator[Trajectory]:
     """Yield the tasks' trajectories in their order; see `drive` and `workers`."""
     yield from _drive_all(drive, work, tasks, number, observer)
@@ -255,14 +273,15 @@ def _drive_all(
     observer.start(work, len(tasks))
     number = number if number == "ray" else max(1, min(number, len(tasks)))
     if number != 1:
-        _require_picklable({id(task.driver): task.driver for task in tasks}.values())
+        who = [one for task in tasks for one in (task.driver, task.adviser)]
+        _require_picklable({id(one): one for one in who}.values())
     with workers(number, fresh=any(task.outputs for task in tasks)) as pool:
         for driven in pool.map(how, tasks):
             observer.advance({})  # one episode's figures tell little, and nothing of others' episodes
             yield driven
 
 
-def _require_picklable(who: Iterable[Who]) -> None:
+def _require_picklable(who: Iterable[Who | None]) -> None:
     for one in who:
         try:
             pickle.dumps(one)
@@ -325,23 +344,27 @@ def workers(number: WorkerCount, *, fresh: bool = False) -> Iterator[Workers]:
             "starts workers outside of if __name__ == '__main__'; --workers 1 drives in one process and tells which"
         ) from None
     except BaseException:
-        ending = threading.Thread(target=executor.shutdown, kwargs={"cancel_futures": True})
-        ending.start()
-        time.sleep(DROPS_S)
-        _stop(set(multiprocessing.active_children()) - earlier_children)
-        ending.join()
+        stopping = threading.Thread(target=_stop_all_but, args=(earlier_children,))
+        stopping.start()
+        executor.shutdown(cancel_futures=True)
+        stopping.join()
         raise
     finally:
         executor.shutdown(cancel_futures=True)
 
 
-def _stop(processes: Iterable[BaseProcess]) -> None:
-    """End processes, whatever they are at: a task may take minutes yet, and SUMO long before it hears of it."""
-    for process in processes:
-        process.terminate()
-    for process in processes:
-        if not wait([process.sentinel], ENDS_S):  # the pool joins them: of two who do, one is told that it still lives
-            process.kill()
+def _stop_all_but(others: set[BaseProcess]) -> None:
+    """End this process's children, whatever they are at: a task may take minutes yet, and SUMO hear of it late.
+
+    They are joined by the pool alone: of two who do, one may be told for some milliseconds that a child still lives.
+    """
+    time.sleep(DROPS_S)
+    children = set(multiprocessing.active_children()) - others
+    for child in children:
+        child.terminate()
+    for child in children:
+        if not wait([child.sentinel], ENDS_S):
+            child.kill()
 
 
 @contextmanager

@@ -36,6 +36,7 @@ from rail_sumo.rollout import (
     deciders,
     drive_all,
     practise_all,
+    practise_all_advised,
     traffic_seed,
 )
 from rail_sumo.tables import report
@@ -257,10 +258,30 @@ def record(
     seed: int,
     workers: WorkerCount = 1,
     observer: Observer = SILENT,
+    adviser: Who | None = None,
 ) -> Demonstrations:
-    """Return what a driver sees and carries out in traffic of its own, which no evaluation or training meets."""
-    tasks = [Task(driver, world, traffic_seed(seed, DEMONSTRATION, episode)) for episode in range(episodes)]
-    return Demonstrations.from_trajectories(list(practise_all("record", tasks, workers, observer)))
+    """Return what a driver sees and carries out in traffic of its own, which no evaluation or training meets.
+
+    Args:
+        driver: who drives, as in `evaluate`.
+        world: where.
+        episodes: how many.
+        seed: of the traffic.
+        workers: how many processes drive, or "ray".
+        observer: called after every episode.
+        adviser: whose decisions are recorded in place of those that are carried out, as DAgger needs them.
+
+    Raises:
+        InputError: no such driver, or none of several attempts at an episode could be driven.
+    """
+    who = roster.who_drives(driver, world)
+    advice = None if adviser is None else roster.who_drives(adviser, world)
+    seeds = [traffic_seed(seed, DEMONSTRATION, episode) for episode in range(episodes)]
+    tasks = [Task(who, world, one, adviser=advice) for one in seeds]
+    if advice is None:
+        return Demonstrations.from_trajectories(list(practise_all("record", tasks, workers, observer)))
+    driven = practise_all_advised("record", tasks, workers, observer)
+    return Demonstrations.from_trajectories(*map(list, zip(*driven, strict=True)))
 
 
 def demonstrate(

@@ -582,6 +582,63 @@ def test_between_lanes_of_unequal_width_the_host_crosses_before_the_border_and_e
     assert commands[-1].lateral_m == pytest.approx(0.0)
 
 
+# A change that gains nothing.
+
+GAIN_S = 5.0
+
+
+def behind(ahead_m, ahead_kmh):
+    return FREE._replace(ahead_m=ahead_m, ahead_speed_mps=ahead_kmh / KMH)
+
+
+@pytest.fixture
+def gaining():
+    return Adas(config.Adas(), start_mps=60.0 / KMH, gain_s=GAIN_S)
+
+
+# At 72 km/h where 80 are allowed. Behind one of 44 km/h, 36 less, it comes to 2 m + 1 s * 20 m/s within 5 s from 72 m.
+@pytest.mark.parametrize(
+    ("here", "there", "why"),
+    [
+        (FREE, FREE, "no gain"),
+        (behind(71.9, 44.0), FREE, ""),
+        (behind(72.1, 44.0), FREE, "no gain"),
+        (behind(30.0, 80.0), FREE, "no gain"),
+        (behind(24.0, 79.0), FREE, "no gain"),
+        (behind(23.0, 79.0), FREE, ""),
+        (behind(60.0, 44.0), behind(59.0, 44.0), "no gain"),
+        (behind(60.0, 44.0), behind(61.0, 44.0), ""),
+        (behind(36.0, 54.0), behind(60.0, 36.0), "no gain"),
+        (behind(40.0, 54.0), behind(40.0, 60.0), ""),
+        (behind(50.0, 44.0), CLOSED, "gap"),
+    ],
+)
+@pytest.mark.parametrize(("action", "other"), [(LEFT, RIGHT), (RIGHT, LEFT)])
+def test_in_a_demand_lanes_are_changed_for_who_is_ahead_and_where_it_gets_the_host_farther(
+    gaining, adas, action, other, here, there, why
+):
+    def gaps(side):
+        return there if side == (1 if action is LEFT else -1) else here
+
+    assert gaining.allowed(MIDDLE, gaps)[action] == (not why)
+    assert not gaining.allowed(MIDDLE, gaps)[other], "the lane there is as this one"
+    assert gaining.decide(action, MIDDLE, gaps) is (KEEP if why else action)
+    assert (gaining.why, gaining.refused_decisions) == (why, bool(why))
+    assert adas.allowed(MIDDLE, gaps)[action] == (why != "gap"), "in made traffic, as in the paper"
+
+
+def test_towards_a_lane_that_leads_on_it_need_not_gain(gaining):
+    host = at(lane=2, to_edge_end_m=2000.0, leads_on_m=ENDING)
+    assert gaining.allowed(host, free)[LEFT]
+    assert gaining.decide(LEFT, host, free) is LEFT
+
+
+def test_of_its_own_accord_the_layer_leaves_a_lane_that_ends_without_gain(gaining):
+    road = Road(gaining, at(lane=2, to_edge_end_m=200.0, leads_on_m=ENDING))
+    road.step()
+    assert road.adas.side == TO_LEFT
+
+
 # Changes that go on over the end of an edge.
 
 

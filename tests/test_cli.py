@@ -3,6 +3,8 @@ import os
 import signal
 import subprocess
 import sys
+import time
+from contextlib import contextmanager
 from importlib.metadata import version
 
 import numpy as np
@@ -468,6 +470,61 @@ def test_interrupted_evaluation_leaves_the_tables_of_what_all_have_done(
     whole = pd.read_csv(tmp_path / "out" / "episodes.csv")
     assert "interrupted" not in json.loads((tmp_path / "out" / "evaluation.json").read_text())
     pd.testing.assert_frame_equal(kept, whole.iloc[rows].reset_index(drop=True))
+
+
+STUBBORN = """
+import sys, time
+from rail_sumo import cli
+
+def stubborn(standalone_mode):
+    for _ in range(2):
+        try:
+            print("at it", flush=True)
+            time.sleep(60.0)
+        except KeyboardInterrupt:
+            pass
+
+cli.app = stubborn
+cli.main()
+"""
+
+
+@contextmanager
+def running(*arguments, **options):
+    with subprocess.Popen([sys.executable, *arguments], text=True, **options) as program:
+        try:
+            yield program
+        finally:
+            program.kill()
+
+
+def test_a_second_interrupt_that_comes_later_ends_the_program_at_once():
+    with running("-c", STUBBORN, stdout=subprocess.PIPE) as program:
+        assert program.stdout.readline()
+        for _ in range(2):  # as `timeout` sends it: both are the first
+            program.send_signal(signal.SIGTERM)
+        assert program.stdout.readline()
+        time.sleep(1.1)
+        assert program.poll() is None
+        program.send_signal(signal.SIGINT)
+        assert program.wait(10.0) == 130
+
+
+def test_a_sweep_that_is_told_twice_to_end_does(tmp_path):
+    sweep = "sweep share 1 --driver keep --network highway2 --routes highway2 --seeds 500 --duration 5 --workers 2"
+    command = ("-m", "rail_sumo", *sweep.split(), "--out", "share")
+    with running(*command, cwd=tmp_path, stderr=subprocess.PIPE) as program:
+        since = time.monotonic()
+        while len(list(tmp_path.glob("share/cells/*"))) < 3:
+            assert time.monotonic() < since + 60.0
+            time.sleep(0.01)
+        for _ in range(2):
+            program.send_signal(signal.SIGTERM)
+        _, told = program.communicate(timeout=60.0)
+    assert program.returncode == 130
+    assert "Traceback" not in told, told
+    assert told.splitlines()[-1].startswith("rail-sumo: interrupted; the same command goes on")
+    assert "Traceback" not in told
 
 
 def test_networks_are_listed_with_their_length_and_lanes(rail_sumo):

@@ -622,7 +622,8 @@ def test_a_host_of_the_demand_follows_the_route_that_it_is_given_on_its_way(make
 )
 def test_in_a_demand_a_host_settles_in_its_lane_before_it_goes_back(make, tmp_path, is_made, settle_s, back_s):
     traffic = EMPTY if is_made else {"routes": on_ramp(tmp_path, ONE), "host": "one"}
-    env = make(world(network={"file": "onramp", "course": ["main1"]}, traffic=traffic, adas={"settle_s": settle_s}))
+    adas = {"settle_s": settle_s, "gain_s": 0.0}
+    env = make(world(network={"file": "onramp", "course": ["main1"]}, traffic=traffic, adas=adas))
     env.reset(seed=UNSEEN)
     env.step(LEFT)
     crossed, there = env.agent.n_steps, libsumo.vehicle.getLaneIndex(env.agent.host.name)
@@ -631,6 +632,22 @@ def test_in_a_demand_a_host_settles_in_its_lane_before_it_goes_back(make, tmp_pa
         assert env.agent.n_steps < 200, "it never goes back"
     # Decided at full seconds and where the change there ended; it takes up to a second until it has crossed over again.
     assert back_s <= (env.agent.n_steps - crossed) / 10 <= back_s + 2.0
+
+
+@pytest.mark.parametrize(
+    ("is_made", "gain_s", "changes"),
+    [(False, "by traffic", False), (False, 0.0, True), (True, "by traffic", True), (True, 5.0, False)],
+)
+def test_in_a_demand_a_host_changes_no_lanes_for_nothing(make, tmp_path, is_made, gain_s, changes):
+    traffic = EMPTY if is_made else {"routes": on_ramp(tmp_path, ONE), "host": "one"}
+    env = make(world(network={"file": "onramp", "course": ["main1"]}, traffic=traffic, adas={"gain_s": gain_s}))
+    env.reset(seed=UNSEEN)
+    assert env.action_masks()[LEFT] == changes
+    env.step(LEFT)
+    assert (env.agent.adas.why, env.agent.adas.lane_changes > 0 or env.agent.is_changing_lane) == (
+        "" if changes else "no gain",
+        changes,
+    )
 
 
 @pytest.mark.parametrize(("before_m", "brakes_mps2"), [(60.0, 4.5), (300.0, 0.0)])

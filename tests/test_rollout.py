@@ -7,6 +7,7 @@ import os
 import pickle
 import re
 import sys
+import threading
 import time
 import types
 from concurrent.futures import ThreadPoolExecutor
@@ -194,6 +195,87 @@ def test_a_driver_that_no_worker_could_be_sent_is_told_before_anybody_drives():
     with pytest.raises(InputError, match=r"^driver Local cannot be sent to worker processes \(.*\): define it at the"):
         next(rollout.attempt_all("eval", tasks, 2))
     assert next(rollout.attempt_all("eval", tasks, 1)).end_reason == "duration"
+
+
+class Tires(drivers.Rule):
+    """Drives by the rule for ten decisions, and keeps its lane and speed from then on."""
+
+    def __init__(self):
+        super().__init__(MINUTE.adas)
+        self.decided = 0
+
+    def decide(self, observation, agent):
+        self.decided += 1
+        return super().decide(observation, agent) if self.decided <= 10 else 0
+
+
+class Draws:
+    """Draws its decisions from a stream of its own."""
+
+    senses = None
+
+    def __init__(self, seed=0):
+        self._rng = np.random.default_rng(seed)
+
+    def decide(self, observation, agent):
+        return int(self._rng.integers(5))
+
+
+class Begins(Draws):
+    def begin(self, seed):
+        return Draws(seed)
+
+
+class Uncopyable(Tires):
+    def __init__(self):
+        super().__init__()
+        self.lock = threading.Lock()
+
+
+def decided(who, number):
+    """What a driver decides in each of three episodes."""
+    tasks = [Task(who, MINUTE, seed) for seed in (11, 12, 13)]
+    return [driven.decisions.tolist() for driven in rollout.drive_all("drive", tasks, number)]
+
+
+@pytest.mark.parametrize("who", [Tires(), Draws(), Begins()])
+def test_what_a_driver_remembers_is_the_same_whatever_the_number_of_workers_and_in_a_film(who):
+    with_one = decided(who, 1)
+    assert decided(who, 2) == with_one
+    film = rollout.film(Task(who, MINUTE, 12))
+    assert film[1].decisions.tolist() == with_one[1]
+
+
+def test_each_episode_begins_with_the_driver_as_it_was_given_or_with_what_it_begins():
+    tires = Tires()
+    assert all(any(episode[:10]) and not any(episode[10:]) for episode in decided(tires, 1))
+    assert tires.decided == 0
+    drawn = decided(Draws(), 1)
+    assert drawn[0] == drawn[1] == drawn[2]
+    one, other, third = decided(Begins(), 1)
+    assert one != other != third != one
+    assert decided(Begins(), 1) == [one, other, third]
+
+
+def test_a_driver_that_cannot_be_copied_drives_itself():
+    who = Uncopyable()
+    assert any(any(episode[:10]) for episode in decided(who, 1))
+    assert who.decided == 3 * 60
+
+
+def test_of_many_vehicles_each_has_a_driver_of_its_own():
+    decides = [rollout.deciders(who, MINUTE, 3)("a") for who in (Tires(), Begins())]
+    again = [rollout.deciders(who, MINUTE, 3)("b") for who in (Tires(), Begins())]
+    assert decides[0].__self__ is not again[0].__self__
+    drawn = [[decide(None, None) for _ in range(20)] for decide in (decides[1], again[1])]
+    assert drawn[0] != drawn[1]
+
+
+def test_a_loaded_driver_that_samples_draws_anew_in_each_episode():
+    sampling = drivers.Learned(dataclasses.replace(learned(1), samples=True), 0)
+    one, other, _ = episodes = decided(sampling, 1)
+    assert one != other
+    assert decided(sampling, 2) == episodes
 
 
 def test_a_serial_map_is_lazy_and_keeps_the_order():

@@ -2,6 +2,9 @@
 
 import typer
 
+INTERRUPTED = 130
+"""The exit code after Ctrl-C, as shells have it."""
+
 app = typer.Typer(
     help="Learn a highway driver from demonstrations, and drive it in SUMO on your own roads.",
     no_args_is_help=True,

@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from rail_sumo import files
-from rail_sumo.cli.apps import app
+from rail_sumo.cli.apps import INTERRUPTED, app
 from rail_sumo.cli.options import (
     POLICY,
     NetworkFile,
@@ -103,7 +103,7 @@ def evaluate(
             _forget(out, FCD, REPLAYS)
         show(stop.tables, out)
         print(f"rail-sumo: interrupted {after}", file=sys.stderr)
-        raise typer.Exit(130) from None
+        raise typer.Exit(INTERRUPTED) from None
     # Written only after driving: what stops that leaves nothing behind, and is not told as a failure to write.
     if out and not fcd:
         with files.whole_folder(out, overwrite=overwrite) as whole:
@@ -119,7 +119,7 @@ def evaluate(
                 replay.write_most_telling(tables.episodes, who, judges, world, whole, seed=seed, number=replays)
         except KeyboardInterrupt:
             print(f"rail-sumo: interrupted; the tables are in {out}, without pages to watch", file=sys.stderr)
-            raise typer.Exit(130) from None
+            raise typer.Exit(INTERRUPTED) from None
         print(f"pages to watch in {out / REPLAYS}")
 
 

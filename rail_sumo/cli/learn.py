@@ -8,7 +8,7 @@ from typing import Annotated
 import typer
 
 from rail_sumo import config_file
-from rail_sumo.cli.apps import app, expert
+from rail_sumo.cli.apps import INTERRUPTED, app, expert
 from rail_sumo.cli.options import (
     POLICY,
     SEED,
@@ -57,7 +57,7 @@ def train(
     except KeyboardInterrupt:
         hint = f"; go on with: rail-sumo train --out {shlex.quote(str(out))} --resume" if is_taken(out) else ""
         print(f"rail-sumo: interrupted{hint}", file=sys.stderr)
-        raise typer.Exit(130) from None
+        raise typer.Exit(INTERRUPTED) from None
     show(tables, out)
 
 

@@ -9,7 +9,7 @@ import typer
 from rich.console import Console
 
 from rail_sumo import config_file
-from rail_sumo.cli.apps import app
+from rail_sumo.cli.apps import INTERRUPTED, app
 from rail_sumo.cli.options import (
     ConfigFile,
     LocalWorkers,
@@ -66,7 +66,7 @@ def reproduce(
                 reproduce.figures_of(cells, out, curves) if cells else reproduce.figures(experiment, curves)
     except KeyboardInterrupt:
         print("rail-sumo: interrupted; the same command goes on", file=sys.stderr)
-        raise typer.Exit(130) from None
+        raise typer.Exit(INTERRUPTED) from None
     if what == "table1":
         print((out / "table1.md").read_text(encoding="utf-8"), end="")
     print(f"{what} in {out}")
@@ -135,7 +135,7 @@ def sweep(
             tables = replace(swept, observer=bars).drive()
     except KeyboardInterrupt:
         print("rail-sumo: interrupted; the same command goes on", file=sys.stderr)
-        raise typer.Exit(130) from None
+        raise typer.Exit(INTERRUPTED) from None
     if as_json:
         print(tables.differences.to_json(orient="records", indent=2))
         return

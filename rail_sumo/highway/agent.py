@@ -80,8 +80,12 @@ class Agent:
             host.hand_over(kind)
         else:
             start_mps = self._start_mps(enters_as_traffic=enters_as_traffic)
-            settle_s = world.adas.settles_s(in_demand=in_demand)
-            self.adas = Adas(world.adas, start_mps=start_mps, settle_s=settle_s)
+            self.adas = Adas(
+                world.adas,
+                start_mps=start_mps,
+                settle_s=world.adas.settles_s(in_demand=in_demand),
+                gain_s=world.adas.gains_within_s(in_demand=in_demand),
+            )
         self.lidar = _lidar(world.lidar, stretch.road)
         self._layout = Layout(world.lidar, world.observation)
         self._passes = PassCounter(stretch.near_m)

@@ -43,10 +43,12 @@ class Adas:
         config: its limits.
         start_mps: the first set speed.
         settle_s: how long after it has crossed over no decision takes the host back to the lane it came from.
+        gain_s: within what time a change that is decided must get the host farther; 0 if it need not.
     """
 
-    def __init__(self, config: config.Adas, *, start_mps: float, settle_s: float = 0.0) -> None:
+    def __init__(self, config: config.Adas, *, start_mps: float, settle_s: float = 0.0, gain_s: float = 0.0) -> None:
         self._config = config
+        self._gain_s = gain_s
         self._settle_steps = round(settle_s / SECONDS_PER_STEP)
         self._set_speed = start_mps
         self._side: Side | None = None  # the side of the change under way, None while keeping the lane
@@ -205,7 +207,7 @@ class Adas:
         """Return what a change to this side may not begin for.
 
         A lane that soon leads off the course is not open, nor one farther away from it, nor for a while the one that
-        the host came from, unless it must go back.
+        the host came from, unless it must go back, nor one in which it gets no farther.
         """
         if not _across(host, side):
             return "line" if host.rightmost_lane <= host.lane + side <= host.leftmost_lane else "no lane"
@@ -215,7 +217,22 @@ class Adas:
             return "lane ends"
         if self._settles and side == self._came_from and side != lane_ends.way_on(host):
             return "just left"
-        return "" if self._safe(host.speed_mps, gaps(side)) else "gap"
+        if not self._safe(host.speed_mps, gaps(side)):
+            return "gap"
+        return "" if side == lane_ends.must_leave(host) or self._gains(side, host, gaps) else "no gain"
+
+    def _gains(self, side: Side, host: HostState, gaps: Callable[[int], Gaps]) -> bool:
+        """Whether it gets the host farther, or is asked for nothing."""
+        return not self._gain_s or self._gets_m(host, gaps(side)) > self._gets_m(host, gaps(0))
+
+    def _gets_m(self, host: HostState, lane: Gaps) -> float:
+        """Return how far the host may get in a lane within the time in which a change must gain.
+
+        As fast as it may be here, up to its time gap behind who is ahead, if that one keeps its speed.
+        """
+        behind_m = lane.ahead_m - self._config.standstill_gap_m - self._config.time_gap_s * host.speed_mps
+        fastest_mps = self._config.highest_mps(host.limit_mps)
+        return min(fastest_mps * self._gain_s, behind_m + lane.ahead_speed_mps * self._gain_s)
 
     def _may_turn_back(self, host: HostState, gaps: Callable[[int], Gaps]) -> bool:
         """Whether the change under way may be reversed by a decision: not into a lane that must be left by now."""

@@ -14,6 +14,7 @@ const REFUSALS = {
   room: "refused, too little road is left for it",
   "lane ends": "refused, that lane soon ends or leads elsewhere",
   "just left": "refused, it has only just come from that lane",
+  "no gain": "refused, it would get no farther in that lane",
   "under way": "not begun, a lane change is under way",
 };
 
