@@ -17,10 +17,10 @@ class Taught:
     senses = WORLD.senses  # as it was trained with, wherever it drives
 
     def __init__(self, learner: PPO, normalised: VecNormalize) -> None:
-        self._learner, self._normalised = learner, normalised
+        self._policy, self._normalised = learner.policy, normalised  # each episode has a copy, without environments
 
     def decide(self, observation, agent):  # noqa: D102
-        return int(self._learner.predict(self._normalised.normalize_obs(observation), deterministic=True)[0])
+        return int(self._policy.predict(self._normalised.normalize_obs(observation), deterministic=True)[0])
 
 
 def main(arguments: list[str] | None = None) -> run.Tables:

@@ -42,8 +42,8 @@ def test_ppo_is_compared_with_the_expert_on_the_same_traffic(capsys):
 def test_a_taught_driver_sees_observations_as_its_learner_did():
     taught = example("ppo_compared").Taught
     normalised = SimpleNamespace(normalize_obs=lambda observation: observation - 50.0)
-    learner = SimpleNamespace(predict=lambda seen, deterministic: (np.array(4 if seen[0] == 7.0 else 0), None))
-    assert taught(learner, normalised).decide(np.array([57.0]), None) == 4
+    policy = SimpleNamespace(predict=lambda seen, deterministic: (np.array(4 if seen[0] == 7.0 else 0), None))
+    assert taught(SimpleNamespace(policy=policy), normalised).decide(np.array([57.0]), None) == 4
 
 
 def test_two_vector_environments_tell_light_traffic_from_dense(capsys):

@@ -340,6 +340,22 @@ def test_an_edge_that_traffic_no_longer_comes_to_is_told_of():
     assert not list(cautions.emptied(edges[edges["driver"] != "sumo"]))  # nobody was on the road
 
 
+def test_edges_where_driven_cars_stop_and_others_hardly_do_are_told_of():
+    def rows(driver, share, vehicles, stops, n=100):
+        about = {"driver": driver, "setting": "", "share": share, "seed": 0, "vehicles": vehicles, "type": "car"}
+        return [about | {"edge": edge, "n_vehicles": n, "stops": number} for edge, number in stops.items()]
+
+    as_they_are = rows("sumo", 0.0, "others", {"signal": 50, "ramp": 0, "main": 1, ":junction": 0})
+    driven = rows("rule", 1.0, "driven", {"signal": 90, "ramp": 3, "main": 5, ":junction": 9, "new": 9})
+    (note,) = cautions.stops(pd.DataFrame(as_they_are + driven))
+    assert "(column stops of edges.parquet; all seeds): rule at 100%: ramp (3 by 100): means hide that" in note
+    few = rows("rule", 1.0, "driven", {"ramp": 2})
+    of_others = rows("rule", 0.5, "others", {"ramp": 9})
+    same_as_they_are = rows("sumo", 0.5, "driven", {"ramp": 9})
+    for others in (few, of_others, same_as_they_are, []):
+        assert not list(cautions.stops(pd.DataFrame(as_they_are + others)))
+
+
 def test_edges_where_some_lose_far_more_time_though_all_together_do_not_are_told_of():
     def rows(driver, share, losses_s, n=100):
         about = {"driver": driver, "setting": "", "share": share, "seed": 0, "vehicles": "others", "type": "car"}

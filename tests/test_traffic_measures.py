@@ -221,6 +221,27 @@ def test_who_stands_for_30_s_on_a_free_road_where_it_has_priority_is_stuck(tmp_p
     assert of(reports)["all"]["stuck"] == reports.edges(set())["stuck"].sum() == stuck
 
 
+@pytest.mark.parametrize(
+    ("samples", "stops"),
+    [
+        (drives("one", [1.0, 0.2, 0.0, 0.0, 0.2, 0.0]), 2),
+        (drives("one", [0.0] * 9), 1),  # it stood when the period began
+        (drives("one", [0.2] * 9), 0),
+        (drives("one", [1.0, 0.0]) + drives("two", [0.0, 1.0]), 2),
+    ],
+)
+def test_a_stop_is_where_a_vehicle_begins_to_stand(tmp_path, samples, stops):
+    assert written(tmp_path, samples).edges(set())["stops"].sum() == stops
+
+
+def test_sumo_counts_as_many_stops(tmp_path):
+    reports, _ = driven_with_edge_data(tmp_path, "arterial")
+    trips = ElementTree.parse(tmp_path / "trips.xml").getroot()
+    theirs = sum(int(trip.get("waitingCount")) for trip in trips if float(trip.get("depart")) >= 0)
+    assert theirs > 50
+    assert reports.edges(set())["stops"].sum() == pytest.approx(theirs, rel=0.03)
+
+
 def test_sumo_tells_where_nobody_need_wait():
     ends = {}
     for network in ("onramp", "arterial"):
@@ -246,10 +267,10 @@ def test_an_edge_has_what_happened_on_it_by_type_and_by_whether_driven(tmp_path)
     told = reports.edges({"one"}).set_index(["vehicles", "type", "edge"])
     assert list(told.columns) == [*traffic.SUMS, "n_vehicles"]
     loss_s = 0.5 * (0 + 0.09 + 0.09)
-    assert told.loc[("driven", "car", "a")].tolist() == pytest.approx([1.5, 0.0282, loss_s, 1, 1, 0, 0, 0, 1])
-    assert told.loc[("driven", "car", "b")].tolist() == pytest.approx([1.0, 0.0182, 0.09, 0, 0, 0, 0, 0, 1])
-    assert told.loc[("others", "lorry", "a")].tolist() == pytest.approx([2.0, 0.02, 1.0, 0, 0, 1, 0, 0, 1])
-    assert told.loc[("others", "car", "a")].tolist() == pytest.approx([1.0, 0.02, 0, 0, 0, 0, 0, 0, 1])
+    assert told.loc[("driven", "car", "a")].tolist() == pytest.approx([1.5, 0.0282, loss_s, 1, 1, 0, 0, 0, 0, 1])
+    assert told.loc[("driven", "car", "b")].tolist() == pytest.approx([1.0, 0.0182, 0.09, 0, 0, 0, 0, 0, 0, 1])
+    assert told.loc[("others", "lorry", "a")].tolist() == pytest.approx([2.0, 0.02, 1.0, 0, 0, 1, 0, 0, 0, 1])
+    assert told.loc[("others", "car", "a")].tolist() == pytest.approx([1.0, 0.02, 0, 0, 0, 0, 0, 0, 0, 1])
     assert len(told) == 4
 
 

@@ -21,6 +21,8 @@ SLOWER, SLOWER_S, EVEN = 2.0, 10.0, 1.5
 """Vehicles lose on an edge where each loses so many times as long there as at share 0, and so much longer; where the
 time loss of all together is this many times as long, they lose everywhere."""
 
+STOPS, STOPS_MORE = 3, 5.0
+"""Driven cars stop where others hardly do if they have so many stops, so many times what comes on them at share 0."""
 RESTLESS, RESTLESS_PER_KM = 3.0, 2.0
 """Cars change lanes far more often than others at so many times their rate, and so often a kilometre."""
 FEW_TRIPS = 10
@@ -46,6 +48,7 @@ def of_runs(table: pd.DataFrame, edges: pd.DataFrame) -> Iterator[str]:
     yield from alike(table)
     yield from emptied(edges)
     yield from losers(edges)
+    yield from stops(edges)
 
 
 def backlog(table: pd.DataFrame) -> Iterator[str]:
@@ -248,6 +251,28 @@ def losers(edges: pd.DataFrame) -> Iterator[str]:
             told.append(f"{shares.called(*arm)}: {where}, while all together go from {of_both}")
     if told:
         yield f"some lose far more time than at share 0, in s a vehicle on an edge (edges.parquet): {_listed(told)}"
+
+
+def stops(edges: pd.DataFrame) -> Iterator[str]:
+    """Tell where driven cars come to a stop and vehicles of share 0 hardly do, as at the end of a lane that joins."""
+    once = shares.told_once(_outside_junctions(edges))
+    as_they_are = once[once["driver"] == shares.AS_THEY_ARE].groupby(["setting", "edge"])[["stops", "n_vehicles"]].sum()
+    each = (as_they_are["stops"] / as_they_are["n_vehicles"]).rename("each").reset_index()
+    of_driven = once[(once["vehicles"] == traffic.DRIVEN) & (once["driver"] != shares.AS_THEY_ARE)]
+    sums = of_driven.groupby([*shares.ARM, "edge"], sort=False)[["stops", "n_vehicles"]].sum().reset_index()
+    sums = sums.merge(each, how="left", on=["setting", "edge"])
+    many = sums[(sums["stops"] >= STOPS) & (sums["stops"] > STOPS_MORE * sums["each"] * sums["n_vehicles"])]
+    told = []
+    for arm, of_arm in many.groupby(shares.ARM, sort=False):
+        worst = of_arm.nlargest(MOST_TOLD, "stops")
+        where = ", ".join(f"{row.edge} ({row.stops} by {row.n_vehicles})" for row in worst.itertuples())
+        told.append(f"{shares.called(*arm)}: {where}")
+    if told:
+        yield (
+            "driven cars come to a stop where vehicles hardly do at share 0, in stops by so many cars on an edge "
+            f"(column stops of edges.parquet; all seeds): {_listed(told)}: means hide that, as at the end of a lane "
+            "that joins; see docs/share.md"
+        )
 
 
 def _outside_junctions(edges: pd.DataFrame) -> pd.DataFrame:

@@ -27,7 +27,9 @@ PLACE_M = 20.0
 TTC_S = 1.5
 DRAC_MPS2 = 3.4
 """Deceleration to avoid a crash: (v - w)^2 / (2 gap). Archer (2005)."""
-STUCK_S, STUCK_MPS, FREE_M = 30.0, 0.1, 15.0
+STANDS_MPS = 0.1
+"""A vehicle stands that is slower, as SUMO counts."""
+STUCK_S, FREE_M = 30.0, 15.0
 """A vehicle is stuck that stands for so long, and has nobody so near ahead, where nobody need wait."""
 PETROL_G_PER_ML = 0.742
 """SUMO tells fuel by its mass."""
@@ -70,6 +72,7 @@ SUMS: dict[str, str] = {
     "hard_brakings": "int64",
     "ttc_below_1_5s": "int64",
     "drac_above_3_4": "int64",
+    "stops": "int64",
     "stuck": "int64",
 }
 """What is summed for each edge, in order, with its pandas types."""
@@ -174,6 +177,7 @@ class Reports:
             "hard_brakings": "brakes_hard",
             "ttc_below_1_5s": "ttc_short",
             "drac_above_3_4": "drac_high",
+            "stops": "stops",
             "stuck": "is_stuck",
         }
         samples = self._samples.assign(
@@ -280,9 +284,10 @@ def _samples(run: Run) -> pd.DataFrame:
     read["brakes_hard"] = hard_braking.beginnings(braking > HARD_MPS2, braking < EASED_MPS2)
     read["ttc_short"] = _begins(ttc < TTC_S, is_next)
     read["drac_high"] = _begins(drac > DRAC_MPS2, is_next)
+    read["stops"] = _begins(speed < STANDS_MPS, is_next)
     with_priority = {name for name, lane in run.lanes.items() if lane.has_priority}
     waits_for_nobody = read["lane"].isin(with_priority).to_numpy() & ((gap < 0.0) | (gap > FREE_M))
-    read["is_stuck"] = _lasts((speed < STUCK_MPS) & waits_for_nobody, is_next, round(STUCK_S / SAMPLED_S))
+    read["is_stuck"] = _lasts((speed < STANDS_MPS) & waits_for_nobody, is_next, round(STUCK_S / SAMPLED_S))
     return read
 
 
