@@ -1,6 +1,10 @@
 """Small networks, element by element."""
 
+import itertools
+import math
 import re
+
+import numpy as np
 
 
 def edge(name, *, y=0.0, x=(0.0, 100.0), lanes=2, closed=(), width=3.2):
@@ -22,6 +26,13 @@ def leads_on(here, ahead, lanes, *, direction="s", to=None, access=""):
     return "".join(
         f'<connection from="{here}" to="{ahead}" fromLane="{k}" toLane="{j}" dir="{direction}" state="M" {access}/>'
         for k, j in zip(lanes, lanes if to is None else to, strict=True)
+    )
+
+
+def nobody_waits(lanes):
+    """What a junction says of its links, one for each lane, where none crosses another."""
+    return "".join(
+        f'<request index="{k}" response="{"0" * lanes}" foes="{"0" * lanes}" cont="0"/>' for k in range(lanes)
     )
 
 
@@ -57,13 +68,10 @@ def cut_road(*lengths_m, lanes=3, inside_m=0.0, width=3.2):
         inside = f":cut{number}_0"
         if inside_m:
             internal += f'<edge id="{inside}" function="internal">{rows(inside, start_m, inside_m)}</edge>'
-        requests = "".join(
-            f'<request index="{k}" response="{"0" * lanes}" foes="{"0" * lanes}" cont="0"/>' for k in range(lanes)
-        )
         junctions += (
             f'<junction id="cut{number}" type="priority" x="{start_m}" y="0" incLanes="{names(f"part{number}")}" '
             f'intLanes="{names(inside) if inside_m else ""}" shape="{start_m},-2 {start_m + inside_m},-2 {start_m},12">'
-            f"{requests}</junction>"
+            f"{nobody_waits(lanes)}</junction>"
         )
         for k in range(lanes):
             via = f'via="{inside}_{k}" ' if inside_m else ""
@@ -86,6 +94,36 @@ def cut_road(*lengths_m, lanes=3, inside_m=0.0, width=3.2):
         f'<location netOffset="0,0" convBoundary="0,0,{start_m},0" origBoundary="0,0,{start_m},0" projParameter="!"/>'
     )
     return f'<net version="1.20">{location}{internal}{edges}{junctions}{dead_ends}{connections}</net>'
+
+
+def oval(straight_m, radius_m, lanes=3, width=3.2, limit_mps=10.0):
+    """Two straights and two half circles, driven anticlockwise; edges half0 and half1 are a straight and a bend each.
+
+    The radius is that of the inner edge of the leftmost lane, which is the innermost.
+    """
+
+    def lane(half, k):
+        radius = radius_m + (lanes - k - 0.5) * width
+        arc = [(straight_m + radius * math.sin(a), -radius * math.cos(a)) for a in np.linspace(0.0, math.pi, 25)]
+        points = [(0.0, -radius), *arc]
+        if half:
+            points = [(straight_m - x, -y) for x, y in points]
+        shape = " ".join(f"{x:.2f},{y:.2f}" for x, y in points)
+        length_m = sum(math.dist(*pair) for pair in itertools.pairwise(points))
+        return f'<lane id="half{half}_{k}" index="{k}" speed="{limit_mps}" length="{length_m:.2f}" shape="{shape}"/>'
+
+    edges = junctions = connections = ""
+    for half in (0, 1):
+        rows = "".join(lane(half, k) for k in range(lanes))
+        edges += f'<edge id="half{half}" from="joint{half}" to="joint{1 - half}">{rows}</edge>'
+        comes = " ".join(f"half{1 - half}_{k}" for k in range(lanes))
+        y = radius_m if half else -radius_m
+        junctions += (
+            f'<junction id="joint{half}" type="priority" x="{straight_m if half else 0.0}" y="{y}" incLanes="{comes}" '
+            f'intLanes="" shape="0,{y} 1,{y} 0,{y + 1}">{nobody_waits(lanes)}</junction>'
+        )
+        connections += leads_on(f"half{half}", f"half{1 - half}", range(lanes))
+    return f'<net version="1.20">{edges}{junctions}{connections}</net>'
 
 
 def with_exit(length_m, lanes):

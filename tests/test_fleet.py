@@ -13,7 +13,7 @@ import pytest
 from driving import ACCELERATE, KEEP, LEFT, ONE, RIGHT, UNSEEN, closing, led_off, on_ramp
 from hypothesis import given
 from hypothesis import strategies as st
-from sketch import cut_road, with_exit
+from sketch import cut_road, oval, with_exit
 
 from rail_sumo import config_file, rollout, roster
 from rail_sumo.errors import InputError
@@ -55,6 +55,21 @@ def test_on_a_street_with_signals_driven_cars_touch_nobody_where_they_turn_acros
     driven.drive(900.0)
     assert len(driven.inserted) > 400
     assert not list(ElementTree.parse(tmp_path / "c.xml").iter("collision"))
+
+
+def test_in_tight_bends_where_rays_end_on_others_in_their_own_lanes_driven_cars_keep_to_theirs(tmp_path):
+    """Nobody is faster than the others. `road-rail` took who was round the bend for somebody ahead of it."""
+    network, demand, told = tmp_path / "oval.net.xml", tmp_path / "oval.rou.xml", tmp_path / "changes.xml"
+    network.write_text(oval(60.0, 20.0))
+    cars = "".join(f'<vehicle id="{n}" route="laps" depart="{2 * n}" departLane="{n % 3}"/>' for n in range(10))
+    demand.write_text(f'<routes><route id="laps" edges="half0 half1" repeat="20"/>{cars}</routes>')
+    changes = {}
+    for gain_s in (0.0, "by traffic"):
+        world = with_demand(network, demand, adas={"gain_s": gain_s})
+        who = roster.find_driver("road-rail", world)
+        rollout.fleet_of(who, world, 1.0, UNSEEN, ("--lanechange-output", str(told))).drive(180.0)
+        changes[gain_s] = len(list(ElementTree.parse(told).iter("change")))
+    assert changes["by traffic"] < 5 < 30 < changes[0.0], changes
 
 
 def in_the_mirror(network, size_m):

@@ -47,11 +47,11 @@ def _heed_interrupts() -> None:
 
     def interrupt(*_: object) -> None:
         nonlocal first_s
-        if time.monotonic() > first_s + AT_ONCE_S:
-            os._exit(INTERRUPTED)
         if math.isinf(first_s):
             first_s = time.monotonic()
             raise KeyboardInterrupt
+        if time.monotonic() > first_s + AT_ONCE_S:
+            os._exit(INTERRUPTED)
 
     signal.signal(signal.SIGTERM, interrupt)
     if signal.getsignal(signal.SIGINT) is not signal.SIG_IGN:  # as in the background of a script
