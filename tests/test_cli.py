@@ -506,7 +506,7 @@ def test_a_second_interrupt_that_comes_later_ends_the_program_at_once():
         assert program.stdout.readline()
         time.sleep(1.1)
         assert program.poll() is None
-        program.send_signal(signal.SIGINT)
+        program.send_signal(signal.SIGTERM)
         assert program.wait(10.0) == 130
 
 

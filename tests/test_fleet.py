@@ -227,7 +227,7 @@ def test_of_two_that_aim_for_one_gap_from_either_side_one_waits(tmp_path, touchi
 
         return decide
 
-    driven = Fleet(with_demand(network, routes), 1.0, SEED, to_the_middle)
+    driven = Fleet(with_demand(network, routes, adas={"gain_s": 0.0}), 1.0, SEED, to_the_middle)
     driven.drive(20.0)
     assert driven.driven == {"left", "right"}
     assert driven.contacts == 0
@@ -619,7 +619,7 @@ def test_many_that_are_led_elsewhere_do_not_come_to_stand(tmp_path):
 
 
 def test_a_lane_change_goes_on_though_the_route_changes_meanwhile(tmp_path):
-    world, seen = on_the_ramp(tmp_path, ONE), []
+    world, seen = on_the_ramp(tmp_path, ONE).changed(adas={"gain_s": 0.0}), []
 
     def watching(vehicle):
         def decide(observation, agent):

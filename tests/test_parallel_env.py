@@ -298,7 +298,7 @@ def test_of_two_who_are_told_one_gap_at_the_same_moment_one_is_refused(make, tmp
         '<vehicle id="left" type="car" route="r" depart="61" departLane="2" departPos="52" departSpeed="20"/></routes>'
     )
     world = {"network": {"file": "highway3"}, "traffic": {"routes": [str(routes)]}, "episode": {"duration_s": 20.0}}
-    env = make(2, world)
+    env = make(2, world | {"adas": {"gain_s": 0.0}})
     _, infos = env.reset(seed=SEED)
     sides = {name: LEFT if env.vehicles[name] == "right" else RIGHT for name in env.agents}
     assert all(infos[name]["action_mask"][side] for name, side in sides.items())

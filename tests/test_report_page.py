@@ -220,7 +220,7 @@ def test_a_sweep_tells_by_type_and_where_vehicles_brake_hard(tmp_path):
             about
             | {"edge": edge, "n_vehicles": 1}
             | sums
-            | {"hard_brakings": braked, "ttc_below_1_5s": 0, "drac_above_3_4": 0, "stuck": 0}
+            | {"hard_brakings": braked, "ttc_below_1_5s": 0, "drac_above_3_4": 0, "stops": 0, "stuck": 0}
         )
 
     edges = pd.DataFrame([

@@ -17,7 +17,7 @@ from sketch import cut_road
 from rail_sumo import assets, cli, config_file
 from rail_sumo.errors import InputError
 from rail_sumo.pictures import fcd, plot
-from rail_sumo.studies import sweep, sweep_report
+from rail_sumo.studies import share_run, sweep, sweep_report
 from rail_sumo.studies.sweep import Sweep
 from rail_sumo.tables import cautions, report, shares, traffic
 from rail_sumo.tables.shares import AS_THEY_ARE, TOLD, compared, summarised, told_table
@@ -93,6 +93,35 @@ def test_one_and_two_workers_write_the_same_and_what_is_missing_is_driven_again(
         assert (once / name).read_bytes() == (twice / name).read_bytes()
     driven = {cell for cell in cells if cell.stat().st_mtime_ns != kept[cell]}
     assert driven == set(cells[:4])
+
+
+@pytest.mark.parametrize(("n_done", "whole"), [(2, 0), (7, 1), (8, 1), (13, 2)])
+def test_an_interrupted_sweep_leaves_the_tables_of_the_seeds_that_all_have_driven(
+    world, tmp_path, monkeypatch, n_done, whole
+):
+    """Two settings of two drivers and nobody: six runs a seed."""
+    finish, done = share_run.finish, []
+
+    def finish_until(one):
+        if len(done) == n_done:
+            raise KeyboardInterrupt
+        done.append(one)
+        return finish(one)
+
+    of_two = {"key": "adas.time_gap_s", "settings": ("1", "2"), "drivers": ("rule", "keep"), "shares": (0.5,)}
+    swept = small(world, tmp_path / "out", seeds=3, **of_two)
+    monkeypatch.setattr(share_run, "finish", finish_until)
+    with pytest.raises(KeyboardInterrupt) as stopped:
+        swept.drive()
+    assert getattr(stopped.value, "seeds", 0) == whole
+    assert (tmp_path / "out" / "traffic.csv").exists() == bool(whole)
+    monkeypatch.setattr(share_run, "finish", finish)
+    if whole:
+        assert f"interrupted: the tables are of {whole} of 3 seeds" in (tmp_path / "out" / "sweep.md").read_text()
+        few = small(world, tmp_path / "few", seeds=whole, **of_two).drive()
+        pd.testing.assert_frame_equal(pd.read_parquet(tmp_path / "out" / "traffic.parquet"), few.traffic)
+    assert set(swept.drive().traffic["seed"]) == {0, 1, 2}
+    assert "interrupted" not in (tmp_path / "out" / "sweep.md").read_text()
 
 
 def test_what_a_learned_driver_has_driven_is_known_again_by_another_process(demand):

@@ -133,8 +133,10 @@ def sweep(
     try:
         with progress_bars() as bars:
             tables = replace(swept, observer=bars).drive()
-    except KeyboardInterrupt:
-        print("rail-sumo: interrupted; the same command goes on", file=sys.stderr)
+    except KeyboardInterrupt as interrupt:
+        some = interrupt.seeds if isinstance(interrupt, study.Interrupted) else 0
+        told = f" (tables of {some} of {seeds} seeds are in {out})" if some else ""
+        print(f"rail-sumo: interrupted; the same command goes on{told}", file=sys.stderr)
         raise typer.Exit(INTERRUPTED) from None
     if as_json:
         print(tables.differences.to_json(orient="records", indent=2))

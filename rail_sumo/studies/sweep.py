@@ -6,7 +6,7 @@ finished run came to is one file under `cells/`; the same command goes on with t
 """
 
 import math
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from importlib.util import find_spec
 from pathlib import Path
@@ -43,6 +43,14 @@ FOUND_OVER, FOUND_WITHIN_S = 2.0, 1200.0
 """To find the warm-up the traffic is watched for so many times the period that counts, and no less long than this."""
 
 
+class Interrupted(KeyboardInterrupt):
+    """Ctrl-C while the runs were driven, with tables of so many seeds."""
+
+    def __init__(self, seeds: int) -> None:
+        super().__init__()
+        self.seeds = seeds
+
+
 @dataclass(frozen=True)
 class Sweep:
     """Several drivers, each with several shares of the cars, on several seeds; or several values of a key."""
@@ -77,6 +85,7 @@ class Sweep:
         """Bring every run to its end; write the tables, `sweep.md` and a figure for each measure into `out`.
 
         Raises:
+            Interrupted: by Ctrl-C; the tables of the seeds that all have driven are written.
             InputError: `out` holds something else, or runs of another world or period; a share outside 0 to 1, doubled,
                 or none; a driver that is not found, senses something else than
                 its configuration says, or is named twice; no demand, or one without cars.
@@ -92,8 +101,7 @@ class Sweep:
         notes += road.misdrawn(self.config.network.file)
         notes += self._idle_keys()
         notes += self._early_ends(warm_up_s)
-        who = {one.driver: one.who for one in planned if one.driver in self.drivers}
-        notes += roster.unlike_modes(who)
+        notes += roster.unlike_modes(_who(one for one in planned if one.driver in self.drivers))
         for note in notes:
             self.observer.note(note)
         notes = [*self.known, *notes]
@@ -101,37 +109,52 @@ class Sweep:
         for one in work:
             one.require_same_study()
         self.observer.start("runs", len(work))
-        driven = []
-        with rollout.workers(self.workers) as pool:
-            for rows in pool.map(share_run.finish, work):
-                driven.append(rows)
-                self.observer.advance({})
-        table = report.typed(pd.concat(driven, ignore_index=True), TRAFFIC_COLUMNS)
-        if not (self._leaves_all or table.loc[table["vehicles"] == traffic.DRIVEN, "n_vehicles"].any()):
+        driven: list[pd.DataFrame] = []
+        try:
+            with rollout.workers(self.workers) as pool:
+                for rows in pool.map(share_run.finish, work):
+                    driven.append(rows)
+                    self.observer.advance({})
+        except KeyboardInterrupt:
+            n_whole = len(driven) * self.seeds // len(work)
+            if not n_whole:
+                raise
+            runs = n_whole * len(work) // self.seeds
+            notes.append(f"interrupted: the tables are of {n_whole} of {self.seeds} seeds")
+            self._write(work[:runs], driven[:runs], warm_up_s, notes)
+            raise Interrupted(n_whole) from None
+        if not (self._leaves_all or any(_drives_any(rows) for rows in driven)):
             for one in work:
                 one.discard()
-            raise InputError(self._nobody_drives(table, warm_up_s))
-        edges = pd.concat([pd.read_parquet(one.edges_file) for one in work], ignore_index=True)
-        for note in cautions.of_runs(table, edges):
-            notes.append(note)
-            self.observer.note(note)
-        tables = Tables(
-            table, summarised(table), compared(table), edges, self.key, self.duration_s, warm_up_s, tuple(notes)
-        )
-        report.write(self.out, traffic=table, summary=tables.summary, differences=tables.differences, overwrite=True)
-        with whole_file(self.out / EDGES) as partial:
-            edges.to_parquet(partial, index=False)
-        learned = {one.driver: one.learned for one in work if one.driver in self.drivers}
-        sumo = sumo_command(training.located(self.config), traffic_seed(0, EVALUATION, 0))
-        modes = roster.modes_of(who)
-        origin.describe(self.out, self.config, self.command, notes=notes, drivers=learned, modes=modes, sumo=sumo)
-        with whole_file(self.out / "sweep.md") as partial:
-            page = sweep_report.markdown(tables, self.road or self.config.network.file, command=self.command)
-            partial.write_text(page, encoding="utf-8")
+            raise InputError(self._nobody_drives(pd.concat(driven), warm_up_s))
+        tables = self._write(work, driven, warm_up_s, notes)
         if find_spec("matplotlib") is None:
             self.observer.note("no figures without matplotlib; install it with: pip install 'rail-sumo[plots]'")
         else:
             sweep_report.draw(tables, self.out / FIGURES)
+        return tables
+
+    def _write(
+        self, work: Sequence[ShareRun], driven: Sequence[pd.DataFrame], warm_up_s: float, known: Sequence[str]
+    ) -> Tables:
+        """Write and return the tables of some runs, and tell what they show against themselves."""
+        table = report.typed(pd.concat(driven, ignore_index=True), TRAFFIC_COLUMNS)
+        edges = pd.concat([pd.read_parquet(one.edges_file) for one in work], ignore_index=True)
+        told = list(cautions.of_runs(table, edges))
+        for note in told:
+            self.observer.note(note)
+        notes = (*known, *told)
+        tables = Tables(table, summarised(table), compared(table), edges, self.key, self.duration_s, warm_up_s, notes)
+        report.write(self.out, traffic=table, summary=tables.summary, differences=tables.differences, overwrite=True)
+        with whole_file(self.out / EDGES) as partial:
+            edges.to_parquet(partial, index=False)
+        of_drivers = [one for one in work if one.driver in self.drivers]
+        learned, modes = ({one.driver: one.learned for one in of_drivers}, roster.modes_of(_who(of_drivers)))
+        sumo = sumo_command(training.located(self.config), traffic_seed(0, EVALUATION, 0))
+        origin.describe(self.out, self.config, self.command, notes=notes, drivers=learned, modes=modes, sumo=sumo)
+        with whole_file(self.out / "sweep.md") as partial:
+            page = sweep_report.markdown(tables, self.road or self.config.network.file, command=self.command)
+            partial.write_text(page, encoding="utf-8")
         return tables
 
     @property
@@ -187,18 +210,13 @@ class Sweep:
     def _work(self) -> Iterator[ShareRun]:
         """Yield every run; how long it warms up is not known yet."""
         shares = [share for share in self.shares if share > 0.0]
-        for setting in self.settings:
-            world = self._world(setting)
-            who: dict[str, Who | Instead] = {
-                name: ACC if name == ACC else roster.find_driver(name, world, also=[ACC])
-                for name in self.drivers
-                if name != AS_THEY_ARE
-            }
-            learned = {name: "" if name == ACC else roster.content_of(name, world) for name in who}
-            if self.key.startswith(("lidar.", "observation.")):
-                for name, driver in who.items():
-                    drivers.require_same_senses(driver, world, f"driver '{name}'")
-            for seed in range(self.seeds):
+        worlds = {setting: self._world(setting) for setting in self.settings}
+        who = {setting: self._found(world) for setting, world in worlds.items()}
+        learned = {
+            name: "" if name == ACC else roster.content_of(name, self.config) for name in next(iter(who.values()))
+        }
+        for seed in range(self.seeds):  # all of one seed after another: where that is interrupted, some are whole
+            for setting, world in worlds.items():
                 one = ShareRun(
                     self.out,
                     world,
@@ -212,9 +230,21 @@ class Sweep:
                     keeps_fcd=self.fcd,
                 )
                 yield one
-                for name, driver in who.items():
+                for name, driver in who[setting].items():
                     for share in shares:
                         yield replace(one, driver=name, who=driver, learned=learned[name], share=share, shares=(share,))
+
+    def _found(self, world: Config) -> dict[str, Who | Instead]:
+        """Return who drives in a world, by the drivers' names."""
+        who: dict[str, Who | Instead] = {
+            name: ACC if name == ACC else roster.find_driver(name, world, also=[ACC])
+            for name in self.drivers
+            if name != AS_THEY_ARE
+        }
+        if self.key.startswith(("lidar.", "observation.")):
+            for name, driver in who.items():
+                drivers.require_same_senses(driver, world, f"driver '{name}'")
+        return who
 
     def _world(self, setting: str) -> Config:
         if self.key == SHARE:
@@ -289,6 +319,14 @@ class Sweep:
     def _at(self, setting: str) -> str:
         """Return where in the sweep something holds, to be read on after what it is."""
         return f" at {self.key} = {setting}" if setting else ""
+
+
+def _who(work: Iterable[ShareRun]) -> dict[str, Who | Instead]:
+    return {one.driver: one.who for one in work}
+
+
+def _drives_any(rows: pd.DataFrame) -> bool:
+    return bool(rows.loc[rows["vehicles"] == traffic.DRIVEN, "n_vehicles"].any())
 
 
 def shares_of(texts: Sequence[str]) -> tuple[float, ...]:

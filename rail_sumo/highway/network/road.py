@@ -4,7 +4,7 @@ import gc
 import itertools
 import xml.sax
 from bisect import bisect_right
-from collections.abc import Container, Iterable, Iterator, Mapping
+from collections.abc import Iterable, Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import dataclass, replace
 from functools import cached_property, lru_cache
@@ -164,8 +164,8 @@ def read(file: str) -> "_Reader":
     return _read(path, state_of(path))
 
 
-def misdrawn(file: str, among: Container[str] | None = None) -> Iterator[str]:
-    """Tell of edges that are drawn much longer or shorter than they are; only of some, by their ids, if they are given.
+def misdrawn(file: str) -> Iterator[str]:
+    """Tell of edges that are drawn much longer or shorter than they are, wherever in the network.
 
     Raises:
         InputError: as in `load`, but for the course.
@@ -176,7 +176,7 @@ def misdrawn(file: str, among: Container[str] | None = None) -> Iterator[str]:
         off_m = abs(drawn_m - length_m)
         is_far_off = off_m > max(FAR_OFF * length_m, FAR_OFF_M)
         is_off = is_far_off or off_m > max(NOT_TO_SCALE * length_m, NOT_TO_SCALE_M)
-        if is_off and (among is None or edge.getID() in among):
+        if is_off:
             found.append(f"'{edge.getID()}' is {length_m:.0f} m long and drawn {drawn_m:.0f} m")
     if found:
         names = [one.partition(" ")[0] for one in found[1:]]
@@ -184,13 +184,13 @@ def misdrawn(file: str, among: Container[str] | None = None) -> Iterator[str]:
         more = f" (and {told})" if names else ""
         yield (
             f"edge {found[0]}{more}: vehicles move by the length and are sensed, overtaken and shown "
-            "where they are drawn, so that figures of driven cars are wrong; draw it to scale, or correct its length"
+            "where they are drawn, so that figures of cars driven there are wrong; draw it to scale, or correct its length"
         )
 
 
 def warnings(road: Road) -> Iterator[str]:
     """Tell what makes it a poor course."""
-    yield from misdrawn(str(road.net_file), road.edge_of)
+    yield from misdrawn(str(road.net_file))
     if all(len(edge.lanes) == 1 for edge in road.edges):
         yield "every edge has one lane: nobody can change lanes or overtake, and drivers differ by their speed alone"
     for edge in road.edges:
