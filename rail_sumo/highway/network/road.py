@@ -184,7 +184,7 @@ def misdrawn(file: str) -> Iterator[str]:
         more = f" (and {told})" if names else ""
         yield (
             f"edge {found[0]}{more}: vehicles move by the length and are sensed, overtaken and shown "
-            "where they are drawn, so that figures of cars driven there are wrong; draw it to scale, or correct its length"
+            "where they are drawn, so that figures of cars driven there are wrong; draw it to scale, or mend its length"
         )
 
 
