@@ -218,6 +218,11 @@ class Senses(NamedTuple):
     observation: Observation
 
 
+def _by_traffic(given: float | Literal["by traffic"], usual: float) -> float:
+    """Return the number given, or the usual one of such traffic."""
+    return usual if given == "by traffic" else given
+
+
 class Adas(_Section):
     """The layer that carries the decisions out."""
 
@@ -256,15 +261,11 @@ class Adas(_Section):
 
     def settles_s(self, *, in_demand: bool) -> float:
         """Return how long the host keeps to a lane that it has crossed over into, in your demand or in made traffic."""
-        if self.settle_s == "by traffic":
-            return SETTLE_S if in_demand else 0.0
-        return self.settle_s
+        return _by_traffic(self.settle_s, SETTLE_S if in_demand else 0.0)
 
     def gains_within_s(self, *, in_demand: bool) -> float:
         """Return within what time a lane change must get the host farther, in your demand or in made traffic."""
-        if self.gain_s == "by traffic":
-            return GAIN_S if in_demand else 0.0
-        return self.gain_s
+        return _by_traffic(self.gain_s, GAIN_S if in_demand else 0.0)
 
     def highest_mps(self, limit_mps: float) -> float:
         """Return the highest set speed where this is the limit."""

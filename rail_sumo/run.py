@@ -262,13 +262,9 @@ def record(
 ) -> Demonstrations:
     """Return what a driver sees and carries out in traffic of its own, which no evaluation or training meets.
 
+    The arguments are those of `drive`.
+
     Args:
-        driver: who drives, as in `evaluate`.
-        world: where.
-        episodes: how many.
-        seed: of the traffic.
-        workers: how many processes drive, or "ray".
-        observer: called after every episode.
         adviser: whose decisions are recorded in place of those that are carried out, as DAgger needs them.
 
     Raises:

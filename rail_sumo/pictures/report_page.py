@@ -243,7 +243,7 @@ def _edges(edges: pd.DataFrame) -> Iterator[str]:
     edges = edges.assign(arm=[called(*arm) for arm in edges[ARM].itertuples(index=False)])
     short = {measure: told.heading for measure, told in TOLD.items()}
     short |= {"arm": "driver", "vehkm": "veh km", "drac_above_3_4_per_vehkm": "DRAC > 3.4 m/s², per veh km"}
-    short |= {"stops_per_vehkm": "stops, per veh km"}
+    short["stops_per_vehkm"] = "stops, per veh km"
     caption = "All vehicles of a type, all seeds together."
     by_type = markup.table(rates(edges, ["arm", "type"]).rename(columns=short), caption)
     yield markup.details("By type", by_type)

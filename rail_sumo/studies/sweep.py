@@ -149,7 +149,8 @@ class Sweep:
         with whole_file(self.out / EDGES) as partial:
             edges.to_parquet(partial, index=False)
         of_drivers = [one for one in work if one.driver in self.drivers]
-        learned, modes = ({one.driver: one.learned for one in of_drivers}, roster.modes_of(_who(of_drivers)))
+        learned = {one.driver: one.learned for one in of_drivers}
+        modes = roster.modes_of(_who(of_drivers))
         sumo = sumo_command(training.located(self.config), traffic_seed(0, EVALUATION, 0))
         origin.describe(self.out, self.config, self.command, notes=notes, drivers=learned, modes=modes, sumo=sumo)
         with whole_file(self.out / "sweep.md") as partial:

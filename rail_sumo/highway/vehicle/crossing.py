@@ -17,7 +17,7 @@ CROSSES_RAD = math.radians(30.0)
 CLEAR_M = 0.5
 """The room that is left to them, ahead."""
 BESIDE_M = 0.4
-"""The room that the host leaves beside whom it passes, if its lane is wide enough."""
+"""The room that the host leaves beside those it passes, if its lane is wide enough."""
 LEAST_BESIDE_M = 0.2
 """The least that it leaves. It moves aside for nobody who has as much."""
 PASSING_MPS = 8.0
