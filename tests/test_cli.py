@@ -6,6 +6,7 @@ import sys
 import time
 from contextlib import contextmanager
 from importlib.metadata import version
+from types import SimpleNamespace
 
 import numpy as np
 import pandas as pd
@@ -583,8 +584,8 @@ def test_where_nobody_watches_a_terminal_a_line_tells_how_far_work_is(capsys, mo
         bars.advance({"speed_kmh": 71.26, "lane_changes": 12.0})
         bars.advance({})
     assert capsys.readouterr().err.splitlines() == [
-        "rail-sumo: eval: 1 of 3 done, 71.3 km/h, 12.0 changes",
-        "rail-sumo: eval: 2 of 3 done",
+        "rail-sumo: eval: 1 of 3 done, about 1 min left, 71.3 km/h, 12.0 changes",
+        "rail-sumo: eval: 2 of 3 done, about 1 min left",
     ]
     monkeypatch.setattr(progress, "LINE_EVERY_S", 60.0)
     with progress.progress_bars() as bars:
@@ -601,7 +602,24 @@ def test_who_was_told_how_far_work_is_is_told_that_it_is_done(capsys, monkeypatc
             bars.advance({})
         bars.start("record", 1)
         bars.advance({})
-    assert capsys.readouterr().err.splitlines() == ["rail-sumo: eval: 1 of 3 done", "rail-sumo: eval: 3 of 3 done"]
+    assert capsys.readouterr().err.splitlines() == [
+        "rail-sumo: eval: 1 of 3 done, about 1 min left",
+        "rail-sumo: eval: 3 of 3 done",
+    ]
+
+
+def test_the_time_left_is_told_by_the_pace_of_this_run_alone(capsys, monkeypatch):
+    monkeypatch.setattr(progress, "LINE_EVERY_S", 0.0)
+    clock = SimpleNamespace(now_s=0.0, monotonic=lambda: clock.now_s)
+    monkeypatch.setattr(progress, "time", clock)
+    with progress.progress_bars() as bars:
+        bars.start("share", 130, done=100)
+        for clock.now_s in (90.0, 100.0):
+            bars.advance({})
+    assert capsys.readouterr().err.splitlines() == [
+        "rail-sumo: share: 101 of 130 done, about 44 min left",
+        "rail-sumo: share: 102 of 130 done, about 24 min left",
+    ]
 
 
 @pytest.mark.parametrize(("is_needed", "code"), [(True, 1), (False, 0)])

@@ -1,5 +1,6 @@
 """What a terminal shows of work that goes on, and of tables."""
 
+import math
 import sys
 import time
 from collections.abc import Iterator, Mapping
@@ -9,7 +10,7 @@ from typing import TYPE_CHECKING
 
 from rich.console import Console
 from rich.markup import escape
-from rich.progress import BarColumn, MofNCompleteColumn, Progress, TaskID, TextColumn, TimeRemainingColumn
+from rich.progress import BarColumn, MofNCompleteColumn, Progress, Task, TaskID, TextColumn, TimeRemainingColumn
 
 if TYPE_CHECKING:
     from rail_sumo.run import Tables
@@ -26,6 +27,9 @@ _FIGURES = (
 LINE_EVERY_S = 60.0
 """Where nobody watches a terminal, a line tells so often how far work is."""
 
+_PACE_OVER_S = 600.0
+"""How far back a bar looks to tell how long the rest will take; a run or an iteration may take a minute."""
+
 
 class _Bars:
     """A `run.Observer` that draws a bar for each piece of work; where there is no terminal, a line now and then."""
@@ -33,13 +37,15 @@ class _Bars:
     def __init__(self, progress: Progress) -> None:
         self._progress = progress
         self._task = TaskID(0)
-        self._told_at = time.monotonic()
+        self._done_before = 0
+        self._begun_at = self._told_at = time.monotonic()
         self._told_of: TaskID | None = None
         self.notes: list[str] = []
         """What it was told to note."""
 
     def start(self, work: str, total: int, done: int = 0) -> None:
         self._task = self._progress.add_task(work, total=total, completed=done, figures="")
+        self._begun_at, self._done_before = time.monotonic(), done
 
     def advance(self, figures: Mapping[str, float]) -> None:
         told = []
@@ -52,7 +58,14 @@ class _Bars:
         is_last = task.finished and self._told_of == self._task
         if self._progress.disable and (is_due or is_last):
             self._told_at, self._told_of = time.monotonic(), self._task
-            self._print(", ".join([f"{task.description}: {task.completed:.0f} of {task.total:.0f} done", *told]))
+            left = [] if task.finished else [f"about {self._minutes_left(task)} min left"]
+            done = f"{task.description}: {task.completed:.0f} of {task.total:.0f} done"
+            self._print(", ".join([done, *left, *told]))
+
+    def _minutes_left(self, task: Task) -> int:
+        """At the pace since the work began: workers finish in pairs, so that the last ones' pace tells little."""
+        pace_s = (time.monotonic() - self._begun_at) / (task.completed - self._done_before)
+        return math.ceil(pace_s * (task.remaining or 0.0) / 60.0)
 
     def note(self, text: str) -> None:
         self.notes.append(text)
@@ -73,7 +86,8 @@ def progress_bars() -> Iterator[_Bars]:
         TextColumn("{task.fields[figures]}"),
     )
     console = Console(stderr=True, emoji=False)
-    with Progress(*columns, console=console, disable=not console.is_terminal) as progress:
+    hides = not console.is_terminal
+    with Progress(*columns, console=console, disable=hides, speed_estimate_period=_PACE_OVER_S) as progress:
         yield _Bars(progress)
 
 
