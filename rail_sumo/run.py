@@ -312,6 +312,8 @@ def demonstrate(
         given, world = world, world.seen_with(who.senses)
         if keys := drivers.settings(world.sensing, given.sensing):
             observer.note(f"the demonstrations have the senses of '{driver}'; to learn from them, set {keys}")
+    if episodes < (wanted := world.train.trajectories):
+        observer.note(f"learners want {wanted} episodes; to learn from so few, set train.trajectories={episodes}")
     drivers.require_same_senses(who, world, f"driver '{driver}'")
     demonstrations = record(who, world, episodes=episodes, seed=seed, workers=workers, observer=observer)
     about = {"driver": driver, "seed": str(seed), "config": dumps(world)}

@@ -400,3 +400,19 @@ def test_however_long_the_figures_are_the_contacts_are_shown(least, has_interval
 )
 def test_whom_ratios_refer_to_where_nobody_is_named(policies, reference):
     assert report.reference_among(policies) == reference
+
+
+@pytest.mark.parametrize(
+    ("name", "lines"),
+    [
+        ("rail", ["rail"]),
+        ("runs/rail-seed0", ["runs/", "rail-seed0"]),
+        ("runs/rail:sampled", ["runs/rail", ":sampled"]),
+        ("runs/2026/rail", ["runs/2026/rail"]),
+        ("runs/[dense] highway5", ["runs/[dense] ", "highway5"]),
+        ("a_name_without_any_place_to_fold", ["a_name_without", "_any_place_to_", "fold"]),
+        (":sampled_and_more_than_14", [":sampled_and_m", "ore_than_14"]),
+    ],
+)
+def test_long_names_are_folded_where_their_parts_end(name, lines):
+    assert list(report.Name(name).lines(report.NAME_WIDTH)) == lines

@@ -878,7 +878,8 @@ def test_a_driver_is_recorded_with_its_own_senses_where_no_others_are_configured
     run.demonstrate("road-expert", world, tmp_path / "road.parquet", episodes=1, seed=0, observer=notes)
     keys = ["observation.host_speed=true", "observation.speed_limit=true"]
     said = "the demonstrations have the senses of 'road-expert'; to learn from them, set"
-    assert notes.told == [f"{said} {' '.join(keys)}"]
+    fewer = "learners want 40 episodes; to learn from so few, set train.trajectories=1"
+    assert notes.told == [f"{said} {' '.join(keys)}", fewer]
     as_told = config_file.load(
         None, [*keys, f"train.demonstrations={tmp_path / 'road.parquet'}", "train.trajectories=1"]
     )

@@ -1,16 +1,18 @@
 """Rows -> tables with intervals: CSV and Parquet with the same content, and a table for the terminal."""
 
 import io
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pandas as pd
 from rich.box import SIMPLE_HEAD
-from rich.console import Console
+from rich.console import Console, ConsoleOptions
 from rich.markup import escape
+from rich.measure import Measurement
 from rich.table import Table
+from rich.text import Text
 
 from rail_sumo.files import AnyPath, whole_folder
 from rail_sumo.records import DECISION_COLUMNS, EPISODE_COLUMNS, METRICS, SUMMARY_COLUMNS, UNDRIVEN, EndReason, Floats
@@ -153,6 +155,34 @@ NAME_WIDTH = 14
 """Names of policies that are longer are folded."""
 
 
+class Name:
+    """A policy's name in a column, folded after a '/' or a space, or before a ':', where there is one.
+
+    What tells two runs apart, as in `runs/rail-seed0` or `runs/rail:sampled`, then stands together.
+    """
+
+    def __init__(self, name: str) -> None:
+        self._name = name
+
+    def lines(self, width: int) -> Iterator[str]:
+        """Yield the name in pieces of at most so many letters."""
+        rest = self._name
+        while len(rest) > width:
+            end = max(rest.rfind("/", 0, width) + 1, rest.rfind(" ", 0, width) + 1, rest.rfind(":", 1, width + 1))
+            end = end if end > 0 else width
+            yield rest[:end]
+            rest = rest[end:]
+        yield rest
+
+    def __rich_console__(self, console: Console, options: ConsoleOptions) -> Iterator[Text]:
+        """As rich asks for it: a line each."""
+        yield from map(Text, self.lines(options.max_width))
+
+    def __rich_measure__(self, console: Console, options: ConsoleOptions) -> Measurement:
+        """As rich asks for it: how narrow and how wide it may be."""
+        return Measurement(min(NAME_WIDTH, len(self._name)), len(self._name))
+
+
 def table(summary: pd.DataFrame, *, width: int = WIDE) -> Table:
     """Return the table for the terminal, a row per policy: means ± half the 95 % interval; dimmed below, ratios.
 
@@ -211,7 +241,7 @@ def _table(summary: pd.DataFrame, told: dict[str, tuple[str, int]], *, has_inter
     ratios = "95 % intervals of ratios" if has_intervals and n > 1 else "ratios"
     below = f"; below, {ratios} to {escape(reference)}" if compared else ""
     shown = Table(box=SIMPLE_HEAD, caption=episodes + below)
-    shown.add_column("policy", overflow="fold", min_width=NAME_WIDTH)
+    shown.add_column("policy", min_width=NAME_WIDTH)
     for heading in (*_COMPARED, *told, "contacts"):
         shown.add_column(heading, justify="right", no_wrap=True)
     for policy in policies:
@@ -231,7 +261,7 @@ def _table(summary: pd.DataFrame, told: dict[str, tuple[str, int]], *, has_inter
             cells.append(cell)
         cells += [f"{by_metric.loc[(policy, metric), 'mean']:.{decimals}f}" for metric, decimals in told.values()]
         contacts = sum(by_metric.loc[(policy, metric), "mean"] for metric in CONTACTS) * n
-        shown.add_row(escape(policy), *cells, f"{contacts:.0f}")
+        shown.add_row(Name(policy), *cells, f"{contacts:.0f}")
     return shown
 
 

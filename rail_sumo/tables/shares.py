@@ -286,12 +286,12 @@ def _table(key: str, rows: list[Row], caption: str, measures: list[str]) -> Tabl
     left_out = [told.name for measure, told in TOLD.items() if measure not in measures]
     more = f"\nNot shown for want of room, but in sweep.md: {', '.join(left_out)}." if left_out else ""
     shown = Table(box=SIMPLE_HEAD, caption=caption + more, collapse_padding=True, pad_edge=False)
-    shown.add_column("driver", overflow="fold", min_width=report.NAME_WIDTH)
+    shown.add_column("driver", min_width=report.NAME_WIDTH)
     for heading in (*([key] if key else []), "share", *(f"{TOLD[one].name}\n{TOLD[one].unit}" for one in measures)):
         shown.add_column(heading, justify="right", no_wrap=True)
     for driver, setting, share, cells in rows:
         shown.add_row(
-            escape(driver),
+            report.Name(driver),
             *([escape(setting)] if key else []),
             share,
             *(cells[one].on_two_lines for one in measures),

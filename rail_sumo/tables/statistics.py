@@ -122,7 +122,7 @@ def _around(value: float, deviating: Floats) -> Estimate:
     n = len(deviating)
     if n == 1:
         return Estimate(value, math.nan, math.nan)
-    error = deviating.std(ddof=1) / math.sqrt(n)
+    error = float(deviating.std(ddof=1)) / math.sqrt(n)
     if error <= ROUNDING * abs(value):
         return Estimate(value, value, value)
     reach = _quantile(n) * error
