@@ -805,6 +805,19 @@ def test_sumos_driver_may_be_one_of_the_demands_types(make, tmp_path, kind, leng
     assert driven.speed_mps[-1] * 3.6 == pytest.approx(kmh, abs=0.1)
 
 
+def test_who_enters_faster_than_its_type_drives_comes_down_evenly(make, tmp_path):
+    """At 120 km/h, as the car did in whose place it drives, and its own type drives at 40."""
+    fast = '<vehicle id="two" type="hasty" route="along" depart="5" departSpeed="desired"/>'
+    steady = TYPES.replace("<vType ", '<vType sigma="0" ').replace("</routes>", f"{fast}</routes>")
+    (tmp_path / "demand.rou.xml").write_text(steady)
+    traffic = {"routes": [str(tmp_path / "demand.rou.xml")], "warm_up_s": 1.0, "host": "replaces"}
+    there = world(traffic=traffic, episode={"duration_s": 60.0})
+    driven = drive(make(there, hands_off="slow"), always(KEEP))
+    assert driven.speed_mps[0] * 3.6 > 119.0
+    assert np.diff(driven.speed_mps).min() >= -0.21  # 2 m/s²
+    assert driven.speed_mps[-1] * 3.6 == pytest.approx(40.0, abs=0.1)
+
+
 def test_a_type_that_the_demand_has_not_is_refused_in_one_line(make, tmp_path):
     (tmp_path / "demand.rou.xml").write_text(TYPES)
     available = "(available: DEFAULT_VEHTYPE, hasty, slow)"

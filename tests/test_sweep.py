@@ -235,7 +235,8 @@ def test_a_road_that_fills_up_in_the_period_is_told_of_whoever_drives(unfinished
     assert bool(notes) == told
     if told:
         assert notes[0].startswith(
-            "the road fills up in the period, by vehicles in the mean over seeds: rule at 50% from 100 to 121: figures"
+            "the road fills up in the period, by vehicles in the mean over seeds: rule at 50% from 100 to 121 (as they "
+            "are from 100 to 100): figures"
         )
 
 
@@ -284,9 +285,11 @@ def test_a_run_that_begins_with_more_vehicles_than_with_other_seeds_is_told_of()
     as_they_are = [row("sumo", 0.0, seed, begins) for seed, begins in enumerate((262, 240, 261))]
     driven = [row("rule", 0.25, seed, begins) for seed, begins in enumerate((276, 241, 260))]
     (note,) = cautions.full_starts(pd.DataFrame([*as_they_are, *driven]))
-    assert "against other seeds: rule at 25% seed 0, 276 vehicles: they may have stood in the warm-up" in note
+    assert "against other seeds: rule at 25% seed 0, 276 vehicles for 262: they may have stood in the warm-up" in note
     alike = [row("rule", 0.25, seed, begins) for seed, begins in enumerate((282, 260, 280))]  # as their traffic is
     assert not list(cautions.full_starts(pd.DataFrame([*as_they_are, *alike])))
+    emptier = [row("rule", 0.25, seed, begins) for seed, begins in enumerate((266, 220, 241))]  # by 4, -20, -20
+    assert not list(cautions.full_starts(pd.DataFrame([*as_they_are, *emptier])))
     assert not list(cautions.full_starts(pd.DataFrame([*as_they_are[:2], *driven[:2]])))  # which of two is the fuller?
 
 

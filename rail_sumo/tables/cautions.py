@@ -12,7 +12,7 @@ MOST_TOLD = 4
 GROWN, GROWN_BY = 10.0, 0.2
 """A road fills up where there are so many vehicles more at the end of the period, and by this share of those before."""
 FULLER, FULLER_BY = 10.0, 0.04
-"""A run begins fuller than others of its driver and share by so many vehicles, and by this share of them."""
+"""A run begins fuller than share 0, and than it does with other seeds, by so many vehicles and by this share of them."""
 BROKEN_DOWN = 0.5
 """A run has broken down if its mean speed is less than this share of the median of its other seeds'."""
 FEWER, AT_LEAST = 0.5, 20
@@ -74,10 +74,14 @@ def growth(table: pd.DataFrame) -> Iterator[str]:
     growth = ends - begins
     grown = growth[(growth >= GROWN) & (growth > GROWN_BY * begins)].sort_values(ascending=False)
     if len(grown):
-        told = [f"{shares.called(*arm)} from {begins[arm]:.0f} to {ends[arm]:.0f}" for arm in grown.index]
+        untold = [arm for arm in growth.index if arm[0] == shares.AS_THEY_ARE and not arm[2] and arm not in grown]
+        told, beside = (
+            [f"{shares.called(*arm)} from {begins[arm]:.0f} to {ends[arm]:.0f}" for arm in arms]
+            for arms in (grown.index, untold)
+        )
         yield (
-            f"the road fills up in the period, by vehicles in the mean over seeds: {_listed(told)}: figures depend on "
-            "when it begins and ends"
+            f"the road fills up in the period, by vehicles in the mean over seeds: {_listed(told)}"
+            f"{f' ({_listed(beside)})' if beside else ''}: figures depend on when it begins and ends"
         )
 
 
@@ -104,15 +108,15 @@ def full_starts(table: pd.DataFrame) -> Iterator[str]:
         if len(of_arm) <= 2:  # which of two is the fuller?
             continue
         more = of_arm["begins"] - zero.reindex(pd.MultiIndex.from_frame(of_arm[["setting", "seed"]])).to_numpy()
-        beyond = more - more.median()
-        full = of_arm[(beyond >= FULLER) & (beyond >= FULLER_BY * of_arm["begins"])]
+        least = more.clip(upper=more - more.median())  # than share 0, and than it is with the other seeds
+        full = of_arm.assign(zero=of_arm["begins"] - more)[(least >= FULLER) & (least >= FULLER_BY * of_arm["begins"])]
         told += [
-            f"{shares.called(*arm)} seed {seed}, {begun} vehicles"
-            for seed, begun in full[["seed", "begins"]].itertuples(index=False)
+            f"{shares.called(*arm)} seed {seed}, {begun:.0f} vehicles for {zero:.0f}"
+            for seed, begun, zero in full[["seed", "begins", "zero"]].itertuples(index=False)
         ]
     if told:
         yield (
-            "the period begins with far more vehicles than share 0 of the same seed, against other seeds: "
+            "the period begins with more vehicles than share 0 of the same seed, against other seeds: "
             f"{_listed(told)}: they may have stood in the warm-up, and what dissolves is counted as flow; sweep --fcd "
             "shows it"
         )

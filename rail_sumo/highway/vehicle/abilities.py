@@ -54,6 +54,7 @@ class Abilities:
         self._class = ""  # its own, while it drives on into a lane that was closed too late
         self._is_gentle = self._is_of_a_demand = self._braces = False
         self._is_of_a_type = False  # of the demand's, which SUMO drives
+        self._comes_down = False  # from the speed that it has entered with to the one that its type drives at
         self._speed_factor: float | None = None  # that SUMO's own driver was last told; None where SUMO keeps its own
         types = libsumo.vehicletype
         types.setAccel(HOST_TYPE, adas.acceleration_mps2)
@@ -84,11 +85,8 @@ class Abilities:
             vehicle.setTau(self._name, self._adas.time_gap_s)  # as a vehicle of SUMO's, it has no other time gap
             self._speed_factor = UNLIMITED
             return
-        self._is_of_a_type = True
+        self._is_of_a_type = self._comes_down = True
         vehicle.setType(self._name, kind)
-        kind = vehicle.getTypeID(self._name)  # the one drawn from a distribution
-        vehicle.setSpeedFactor(self._name, types.getSpeedFactor(kind))
-        vehicle.setMaxSpeed(self._name, types.getMaxSpeed(kind))
         vehicle.setSpeedMode(self._name, SUMO_SPEED_MODE)
 
     def _set(self, what: str, value: str | float) -> None:
@@ -120,6 +118,8 @@ class Abilities:
 
         Or be no faster than it is, while the assistance layer has it slow down: SUMO would brake hard.
         """
+        if self._comes_down:
+            self._come_down(speed_mps)
         if self._speed_factor is None:
             return
         limit_mps = libsumo.lane.getMaxSpeed(libsumo.vehicle.getLaneID(self._name))
@@ -130,6 +130,20 @@ class Abilities:
         if factor != self._speed_factor:
             libsumo.vehicle.setSpeedFactor(self._name, factor)
             self._speed_factor = factor
+
+    def _come_down(self, speed_mps: float) -> None:
+        """Have it come down comfortably to the mean speed factor and the highest speed of its type.
+
+        The car in whose place it has entered may have been faster than that, and SUMO would brake it hard.
+        """
+        vehicle, types = libsumo.vehicle, libsumo.vehicletype
+        kind = vehicle.getTypeID(self._name)  # the one drawn from a distribution
+        factor, fastest_mps = types.getSpeedFactor(kind), types.getMaxSpeed(kind)
+        limit_mps = libsumo.lane.getMaxSpeed(vehicle.getLaneID(self._name))
+        slower_mps = speed_mps - self._adas.comfort_braking_mps2 * SECONDS_PER_STEP
+        vehicle.setSpeedFactor(self._name, max(factor, slower_mps / limit_mps) if limit_mps > 0.0 else factor)
+        vehicle.setMaxSpeed(self._name, max(fastest_mps, slower_mps))
+        self._comes_down = slower_mps > min(factor * limit_mps, fastest_mps)
 
     # How hard it brakes.
 
