@@ -28,6 +28,8 @@ MIDDLE = HostState(
     leads_on_m=(math.inf,) * 5,
     limit_mps=80.0 / KMH,
 )
+LEAVES_M = 20.0 * MIDDLE.limit_mps
+"""How far before its end a lane is left."""
 ENDING = (0.0, 0.0, 0.0, math.inf, math.inf)
 """The three right lanes lead nowhere; whoever drives there stays on the edge."""
 FREE = Gaps(ahead_m=math.inf, ahead_speed_mps=0.0, behind_m=math.inf, behind_speed_mps=0.0)
@@ -717,9 +719,13 @@ def go_on(adas, host, gaps=free, action=KEEP):
 
 @pytest.mark.parametrize("action", [KEEP, ACCELERATE, DECELERATE, RIGHT])
 @pytest.mark.parametrize("lanes", [(0,), (0, 1)])
-def test_300_m_for_each_lane_to_cross_before_its_lanes_end_the_host_leaves_it_whatever_is_decided(adas, action, lanes):
-    leaves_m = 300.0 * len(lanes)
-    before = at(lane=0, to_edge_end_m=leaves_m + 1.0, leads_on_m=ending(*lanes))
+@pytest.mark.parametrize(("kmh", "a_lane_m"), [(80, LEAVES_M), (50, 300.0), (130, 722.2), (math.inf, 1111.1)])
+def test_20_s_or_300_m_for_each_lane_to_cross_before_its_end_the_host_leaves_a_lane_whatever_is_decided(
+    adas, action, lanes, kmh, a_lane_m
+):
+    """Where there is no limit, as far as the fastest car drives in that time."""
+    leaves_m = a_lane_m * len(lanes)
+    before = at(lane=0, to_edge_end_m=leaves_m + 1.0, leads_on_m=ending(*lanes), limit_mps=kmh / KMH)
     go_on(adas, before, action=action)
     assert not adas.changing_lane
     go_on(adas, before._replace(to_edge_end_m=leaves_m - 1.0), action=action)
@@ -727,11 +733,10 @@ def test_300_m_for_each_lane_to_cross_before_its_lanes_end_the_host_leaves_it_wh
     assert adas.lateral_m == pytest.approx(STRIDE_M)
 
 
-@pytest.mark.parametrize(("to_edge_end_m", "why"), [(790.0, "lane ends"), (810.0, "")])
-def test_a_lane_from_which_two_more_have_to_be_crossed_is_not_open_10_s_and_600_m_before_its_end(
-    adas, to_edge_end_m, why
-):
-    host = at(lane=2, to_edge_end_m=to_edge_end_m, leads_on_m=ending(0, 1, 2, 3))
+@pytest.mark.parametrize(("sooner_m", "why"), [(10.0, "lane ends"), (-10.0, "")])
+def test_a_lane_from_which_two_more_have_to_be_crossed_is_not_open_10_s_before_it_must_be_left(adas, sooner_m, why):
+    """At 20 m/s."""
+    host = at(lane=2, to_edge_end_m=2 * LEAVES_M + 200.0 - sooner_m, leads_on_m=ending(0, 1, 2, 3))
     adas.decide(RIGHT, host._replace(lane=3), free)
     assert adas.why == why
 
@@ -787,7 +792,7 @@ def test_a_lane_that_ends_is_left_towards_the_nearer_one_that_leads_on(adas, lan
 
 
 def test_a_lane_that_ends_beyond_the_next_edges_is_left_as_early(adas):
-    before = at(lane=0, to_edge_end_m=60.0, leads_on_m=ending(0, after_m=241.0))
+    before = at(lane=0, to_edge_end_m=60.0, leads_on_m=ending(0, after_m=LEAVES_M - 59.0))
     go_on(adas, before)
     assert not adas.changing_lane
     go_on(adas, before._replace(to_edge_end_m=58.0))
@@ -821,10 +826,12 @@ def test_it_asks_on_the_side_of_the_nearer_lane_that_leads_on_and_not_where_its_
 @pytest.mark.parametrize(("queued", "leaves"), [((0, 150.0), True), ((150.0, 0), True), ((0, 0, 150.0), False)])
 def test_the_longer_the_queue_the_earlier_the_host_leaves_its_lane_for_it(adas, queued, leaves):
     """In the lane that it makes for, or in its own; a third does not matter. It takes 100 m to brake from 20 m/s."""
-    host = at(lane=0, to_edge_end_m=551.0, leads_on_m=ending(0), queued_m=(*queued, *(0,) * (5 - len(queued))))
+    host = at(
+        lane=0, to_edge_end_m=LEAVES_M + 251.0, leads_on_m=ending(0), queued_m=(*queued, *(0,) * (5 - len(queued)))
+    )
     go_on(adas, host)
     assert not adas.changing_lane
-    go_on(adas, host._replace(to_edge_end_m=549.0))
+    go_on(adas, host._replace(to_edge_end_m=LEAVES_M + 249.0))
     assert adas.changing_lane == leaves
 
 
@@ -836,10 +843,10 @@ def test_beside_a_queue_the_host_falls_in_as_slowly_as_at_its_lanes_end(adas):
     assert go_on(adas, queued, beside(2.0, 0.0)).speed_mps < 10.0
 
 
-@pytest.mark.parametrize(("to_edge_end_m", "why"), [(499.0, "lane ends"), (501.0, "")])
-def test_nobody_is_overtaken_in_a_lane_that_must_be_left_within_10_s(adas, to_edge_end_m, why):
-    """300 m before its end, at 20 m/s."""
-    adas.decide(LEFT, at(lane=2, to_edge_end_m=to_edge_end_m, leads_on_m=ending(3, 4)), free)
+@pytest.mark.parametrize(("sooner_m", "why"), [(1.0, "lane ends"), (-1.0, "")])
+def test_nobody_is_overtaken_in_a_lane_that_must_be_left_within_10_s(adas, sooner_m, why):
+    """At 20 m/s."""
+    adas.decide(LEFT, at(lane=2, to_edge_end_m=LEAVES_M + 200.0 - sooner_m, leads_on_m=ending(3, 4)), free)
     assert adas.why == why
 
 
@@ -873,7 +880,7 @@ def test_where_every_lane_ends_or_none_the_host_stays(adas):
 
 
 def test_near_its_end_nobody_changes_into_a_lane_that_ends(adas):
-    beside = at(lane=1, to_edge_end_m=501.0, leads_on_m=ending(0))
+    beside = at(lane=1, to_edge_end_m=LEAVES_M + 201.0, leads_on_m=ending(0))
     assert adas.allowed(beside, free)[RIGHT]
     near = beside._replace(to_edge_end_m=299.0)
     assert adas.allowed(near, free) == [True, True, True, True, False]
@@ -892,7 +899,7 @@ def test_a_change_out_of_a_lane_that_ends_is_not_taken_back_by_a_decision_but_wh
     assert adas.allowed(host, free) == [True, False, False, False, False]
     adas.decide(RIGHT, host, free)
     assert (adas.side, adas.refused_decisions) == (1, 1)
-    far = host._replace(to_edge_end_m=600.0)
+    far = host._replace(to_edge_end_m=700.0)
     assert adas.allowed(far, free)[RIGHT]
     if steps == 5:
         for _ in range(10):

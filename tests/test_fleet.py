@@ -72,6 +72,37 @@ def test_in_tight_bends_where_rays_end_on_others_in_their_own_lanes_driven_cars_
     assert changes["by traffic"] < 5 < 30 < changes[0.0], changes
 
 
+def test_on_a_fast_road_driven_cars_sort_themselves_before_an_exit_and_none_slows_down_for_that(tmp_path, monkeypatch):
+    """Up to three lanes to cross at 30 m/s. From 300 m a lane on it was too late for some: down to 20 and 23 m/s."""
+    network, demand = tmp_path / "exit.net.xml", tmp_path / "exit.rou.xml"
+    network.write_text(with_exit(1500.0, lanes=4))
+    flow = '<flow id="{0}{1}" type="car" route="{0}" begin="1" end="240" period="exp({2})" departLane="{1}" '
+    flow += 'departSpeed="desired"/>'
+    demand.write_text(
+        '<routes><vType id="car" speedFactor="normc(1,0.1,0.8,1.2)"/><route id="main" edges="part0 main"/>'
+        '<route id="exit" edges="part0 exit"/>'
+        + flow.format("exit", "random", 1 / 6)
+        + "".join(flow.format("main", lane, 1 / 5) for lane in (1, 2, 3))
+        + "</routes>"
+    )
+    slowest_mps = {}
+
+    def look(simulation):
+        for name in libsumo.vehicle.getIDList():
+            if name.startswith("exit") and libsumo.vehicle.getLaneID(name).startswith("part0"):
+                slowest_mps[name] = min(slowest_mps.get(name, math.inf), libsumo.vehicle.getSpeed(name))
+
+    watched(monkeypatch, look)
+    world = with_demand(network, demand)
+    for seed in (SEED, SEED + 1):
+        driven = Fleet(world, 1.0, seed, driver("rule", world))
+        driven.drive(300.0)
+        assert driven.contacts == 0
+        assert len(slowest_mps) > 25
+        assert min(slowest_mps.values()) > 23.0
+        slowest_mps.clear()
+
+
 def in_the_mirror(network, size_m):
     """The same network of so many metres upwards, driven on the left."""
 

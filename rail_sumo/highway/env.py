@@ -189,7 +189,7 @@ class HighwayEnv(gymnasium.Env[Floats, np.int64]):
         assert place is not None  # or nothing were drivable
         simulation.lay_course(stretch.road, adas, sees_m=stretch.sees_m, shares_type=traffic.driven > 0)
         edge = stretch.road.edges[place[0]]
-        lanes = lane_ends.leading_on(edge.ends_in_m(place[1]))
+        lanes = lane_ends.leading_on(edge.ends_in_m(place[1]), edge.limit_mps)
         lane = lanes[int(rng.integers(len(lanes)))]
         has_traffic = self.demand.has_traffic
         if has_traffic:

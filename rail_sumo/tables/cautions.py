@@ -12,7 +12,7 @@ MOST_TOLD = 4
 GROWN, GROWN_BY = 10.0, 0.2
 """A road fills up where there are so many vehicles more at the end of the period, and by this share of those before."""
 FULLER, FULLER_BY = 10.0, 0.04
-"""A run begins fuller than share 0, and than it does with other seeds, by so many vehicles and by this share of them."""
+"""A run begins fuller than share 0, and than with other seeds, by so many vehicles and by this share of them."""
 BROKEN_DOWN = 0.5
 """A run has broken down if its mean speed is less than this share of the median of its other seeds'."""
 FEWER, AT_LEAST = 0.5, 20

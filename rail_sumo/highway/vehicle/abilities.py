@@ -80,7 +80,7 @@ class Abilities:
 
     def hand_over(self, kind: str | None) -> None:
         """Drive as SUMO's own driver: as one of this vehicle type, or as the host but for its time gap and limits."""
-        vehicle, types = libsumo.vehicle, libsumo.vehicletype
+        vehicle = libsumo.vehicle
         if kind is None:
             vehicle.setTau(self._name, self._adas.time_gap_s)  # as a vehicle of SUMO's, it has no other time gap
             self._speed_factor = UNLIMITED

@@ -4,14 +4,19 @@ import math
 from collections.abc import Mapping
 from typing import Literal
 
+from rail_sumo.config import FASTEST_CAR_MPS
 from rail_sumo.records import HostState
 
 Side = Literal[-1, 1]
 LEFT: Side = 1
 RIGHT: Side = -1
 
-LEAVE_LANE_M = 300.0
-"""How far before its end the host leaves a lane that does not lead on along its course, for each lane to cross."""
+LEAVE_LANE_S, LEAVE_LANE_M = 20.0, 300.0
+"""How long and how far before its end the host leaves a lane that does not lead on along its course, for each lane to
+cross: whichever is farther, if it drives at the limit.
+
+At 130 km/h it could not cross two lanes within 600 m, and whoever would go the other way stood in its way.
+"""
 STANDS_BEFORE_M: Mapping[Side, float] = {RIGHT: 2.5, LEFT: 20.0}
 """How far before the end of such a lane the host stands, by the side to which it must leave it.
 
@@ -35,7 +40,10 @@ def other(side: Side) -> Side:
 
 
 def leading_on(
-    ends_in_m: Mapping[int, float], queued_m: Mapping[int, float] = NO_QUEUES, spare_m: float = 0.0
+    ends_in_m: Mapping[int, float],
+    limit_mps: float,
+    queued_m: Mapping[int, float] = NO_QUEUES,
+    spare_m: float = 0.0,
 ) -> list[int]:
     """Return the lanes that nobody need leave by now; where all end soon, those that lead on farthest.
 
@@ -44,16 +52,18 @@ def leading_on(
 
     Args:
         ends_in_m: for each lane how far ahead it ends.
+        limit_mps: the speed limit here.
         queued_m: for each lane how long the queue ahead in it is, with the room that it takes to brake for it.
         spare_m: without those that need be left within so far.
     """
     farthest_m = max(ends_in_m.values())
     best = [lane for lane, metres in ends_in_m.items() if metres == farthest_m]
+    a_lane_m = max(LEAVE_LANE_M, LEAVE_LANE_S * min(limit_mps, FASTEST_CAR_MPS))
 
     def to_leave_m(lane: int) -> float:
         goal = min(best, key=lambda one: abs(one - lane))
         queue_m = max(queued_m.get(goal, 0.0), queued_m.get(lane, 0.0))
-        return abs(goal - lane) * LEAVE_LANE_M + queue_m + spare_m if goal != lane else 0.0
+        return abs(goal - lane) * a_lane_m + queue_m + spare_m if goal != lane else 0.0
 
     return [lane for lane, metres in ends_in_m.items() if metres >= min(to_leave_m(lane), farthest_m)]
 
@@ -103,7 +113,7 @@ def joins_in_m(host: HostState) -> float:
 def _leading_on(host: HostState, spare_m: float = 0.0) -> list[int]:
     to_stop_m = host.speed_mps**2 / (2 * FOR_QUEUE_MPS2)
     queued_m = {lane: metres + to_stop_m for lane, metres in _queued_m(host).items() if metres}
-    return leading_on(_ends_in_m(host), queued_m, spare_m)
+    return leading_on(_ends_in_m(host), host.limit_mps, queued_m, spare_m)
 
 
 def _queued_m(host: HostState) -> dict[int, float]:
