@@ -103,6 +103,45 @@ def test_on_a_fast_road_driven_cars_sort_themselves_before_an_exit_and_none_slow
         slowest_mps.clear()
 
 
+@pytest.mark.parametrize(("gap_s", "goes_first"), [(6.0, False), (10.0, True), (15.0, True)])
+def test_whoever_stands_at_a_line_takes_a_gap_that_is_long_enough(tmp_path, monkeypatch, gap_s, goes_first):
+    """To turn left into the lane of those who come. SUMO itself lets nobody who stands in, however far they are."""
+    demand = tmp_path / "demand.rou.xml"
+    car = (
+        '<vehicle id="{}" type="car" depart="{}" departLane="{}" departSpeed="max"><route edges="{} west3"/></vehicle>'
+    )
+    demand.write_text(
+        '<routes><vType id="car" speedFactor="1" sigma="0"/>'
+        + car.format("before", 10, 1, "west2")
+        + car.format("turns", 11, 0, "mill_south_in")
+        + car.format("next", 13.5, 1, "west2")
+        + car.format("after", 13.5 + gap_s, 1, "west2")
+        + "</routes>"
+    )
+    enters, slowest_mps, hardest_mps2 = [], math.inf, 0.0
+
+    def look(simulation):
+        nonlocal slowest_mps, hardest_mps2
+        vehicle = libsumo.vehicle
+        for name in vehicle.getIDList():
+            if vehicle.getLaneID(name).startswith(":mill") and name not in enters:
+                enters.append(name)
+            if name == "turns":
+                slowest_mps = min(slowest_mps, vehicle.getSpeed(name))
+            if name == "after":
+                hardest_mps2 = max(hardest_mps2, -vehicle.getAcceleration(name))
+
+    watched(monkeypatch, look)
+    world = with_demand("arterial", demand)
+    driven = Fleet(world, 1.0, SEED, driver("rule", world))
+    driven.drive(60.0)
+    assert slowest_mps < 0.1
+    last = ["turns", "after"] if goes_first else ["after", "turns"]
+    assert enters == ["before", "next", *last]
+    assert driven.contacts == 0
+    assert hardest_mps2 < 1.5
+
+
 def in_the_mirror(network, size_m):
     """The same network of so many metres upwards, driven on the left."""
 

@@ -23,6 +23,8 @@ AEB_TIME_GAP_S = 0.5
 disturb. SUMO keeps clear of contacts as long as this is no shorter than a step."""
 GENTLE_MPS2 = 3.0
 """How hard SUMO may brake the host for who comes first, where it is slow and near the line."""
+STARTING_MPS2 = 1.0
+"""How hard SUMO may brake the host where it stands at the line; see `Abilities.be_gentle`."""
 EXPECTED_BRAKING_MPS2 = 4.5
 """The braking that other vehicles expect of the host."""
 IGNORING = "ignoring"
@@ -52,7 +54,7 @@ class Abilities:
         """How fast its vehicle may be: no faster than it can, though its course allows it."""
         self._can_mps = math.inf
         self._class = ""  # its own, while it drives on into a lane that was closed too late
-        self._is_gentle = self._is_of_a_demand = self._braces = False
+        self._is_gentle = self._stands = self._is_of_a_demand = self._braces = False
         self._is_of_a_type = False  # of the demand's, which SUMO drives
         self._comes_down = False  # from the speed that it has entered with to the one that its type drives at
         self._speed_factor: float | None = None  # that SUMO's own driver was last told; None where SUMO keeps its own
@@ -147,13 +149,20 @@ class Abilities:
 
     # How hard it brakes.
 
-    def be_gentle(self, is_gentle: bool) -> None:
+    def be_gentle(self, is_gentle: bool, *, stands: bool = False) -> None:
         """Have SUMO brake gently for who comes first, or as hard as it may.
 
         SUMO finds that out a second after it has called the way open, and stops then as late and as hard as it may.
+
+        However far away somebody is who heads for the same lane, SUMO lets in before that one only whoever would need a
+        longer way to stop, by the speeds that they come to there and how hard they may brake: nobody who stands does.
+
+        Args:
+            is_gentle: whether it does.
+            stands: whether the vehicle stands at the line.
         """
-        if is_gentle != self._is_gentle:
-            self._is_gentle = is_gentle
+        if (is_gentle, stands) != (self._is_gentle, self._stands):
+            self._is_gentle, self._stands = is_gentle, stands
             self._set("Decel", self._hardest_mps2)
 
     def brace(self, now_mps: float, next_mps: float, leader: Leader | None) -> None:
@@ -178,7 +187,7 @@ class Abilities:
         if self._braces:
             return hardest
         if self._is_gentle:
-            return min(GENTLE_MPS2, hardest)
+            return min(STARTING_MPS2 if self._stands else GENTLE_MPS2, hardest)
         return min(EXPECTED_BRAKING_MPS2, hardest) if self._is_of_a_demand else hardest
 
     # Where.

@@ -297,7 +297,10 @@ class Host:
         vehicle = libsumo.vehicle
         if self.junctions.matter:
             self.junctions.heed_signals(self.speeds_mps[-1])
-            self.abilities.be_gentle(self.junctions.is_slow_at_line(self.speeds_mps[-1]))
+            now_mps = self.speeds_mps[-1]
+            self.abilities.be_gentle(
+                self.junctions.is_slow_at_line(now_mps), stands=self.junctions.stands_at_line(now_mps)
+            )
         self._set_mps = command.speed_mps
         self._letting_in.tell(command.must_leave)
         self._ask(command.asks)

@@ -20,6 +20,8 @@ IGNORE_SIGNALS = 15
 """Speed mode: the same, but for signals."""
 SLOW_MPS, LINE_NEAR_M = 5.0, 10.0
 """A vehicle that is slower, and nearer to a line, may have to stop there within a second."""
+STANDS_MPS, LINE_AT_M = 0.5, 1.0
+"""A vehicle that is slower, and nearer to it, stands there."""
 
 
 class Junctions:
@@ -88,6 +90,10 @@ class Junctions:
     def is_slow_at_line(self, speed_mps: float) -> bool:
         """Return whether it is about to reach, slowly, a line where it may have to wait for others."""
         return speed_mps < SLOW_MPS and any(way.ahead_m < LINE_NEAR_M for way in self._give_ways())
+
+    def stands_at_line(self, speed_mps: float) -> bool:
+        """Return whether it is the first that waits there."""
+        return speed_mps < STANDS_MPS and any(way.ahead_m < LINE_AT_M for way in self._give_ways())
 
     @property
     def waits_for_signal(self) -> bool:
