@@ -419,6 +419,27 @@ def test_before_a_junction_the_host_stops_comfortably_for_who_is_stuck_across_it
         assert libsumo.vehicle.getRoadID(host.name) == "out"
 
 
+def test_for_who_stops_across_its_way_late_the_host_brakes_no_harder_than_it_takes(crossing):
+    """From 14 m/s within 28 m, by 3.5 m/s². It braked by 9 m/s² at first."""
+    course = road.load(str(crossing("G").network.file), ("in", "out"))
+    with Simulation(course.net_file, seed=1) as simulation:
+        simulation.lay_course(course, config.Adas(), sees_m=300.0)
+        simulation.add_host(["in", "out"], lane=0, front_m=100.0, speed_mps=14.0)
+        libsumo.route.add("across", ["up", "on"])
+        libsumo.vehicle.add("stops", "across", departLane="0", departPos="585", departSpeed="1.3")
+        simulation.wait_for_host()
+        host = simulation.host
+        libsumo.vehicle.setSpeedMode("stops", 0)
+        while libsumo.vehicle.getLanePosition(host.name) < 296.0 - 28.0:
+            libsumo.vehicle.setSpeed("stops", 1.3)
+            simulation.run(Command(14.0))
+        libsumo.vehicle.setSpeed("stops", 0.0)
+        simulation.run(Command(14.0, steps=100))
+        assert (host.contact, libsumo.vehicle.getRoadID(host.name)) == (False, "in")
+        assert host.speeds_mps[-1] < 0.1
+        assert -0.45 < min(np.diff(host.speeds_mps)) < -0.3
+
+
 def test_what_sumo_says_while_the_host_enters_more_slowly_is_not_the_users_to_read(make, tmp_path, capfd):
     """Ten metres before a way without priority SUMO lets nobody start at 80 km/h, and calls that an error."""
     path = tmp_path / "crossing.net.xml"

@@ -20,6 +20,8 @@ IGNORE_SIGNALS = 15
 """Speed mode: the same, but for signals."""
 SLOW_MPS, LINE_NEAR_M = 5.0, 10.0
 """A vehicle that is slower, and nearer to a line, may have to stop there within a second."""
+TOUCH_M = 0.01
+"""A line nearer than this counts as reached."""
 STANDS_MPS, LINE_AT_M = 0.5, 1.0
 """A vehicle that is slower, and nearer to it, stands there."""
 
@@ -162,8 +164,12 @@ class Junctions:
             return crossing.passing_mps(free_m, comfort_mps2)
         if acc.braking_distance_m(speed_mps, self._adas.emergency_braking_mps2) >= to_line_m:
             return crossing.allowed_mps(free_m)
-        left_m = to_line_m - LINE_SHORT_M - speed_mps * SECONDS_PER_STEP
-        return math.sqrt(2 * comfort_mps2 * max(left_m, 0.0))
+        left_m = to_line_m - LINE_SHORT_M
+        if left_m <= TOUCH_M:
+            return 0.0
+        braking_mps2 = max(speed_mps**2 / (2 * left_m), comfort_mps2)  # as hard as it takes: it may see them late
+        comfortable_mps = math.sqrt(2 * comfort_mps2 * max(left_m - speed_mps * SECONDS_PER_STEP, 0.0))
+        return max(comfortable_mps, speed_mps - braking_mps2 * SECONDS_PER_STEP)
 
     def _way(self, lanes: Sequence[str]) -> Floats:
         """Return the points that the middle of its front comes by along lanes, the first of which it is on."""
