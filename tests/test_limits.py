@@ -2,6 +2,7 @@
 
 import dataclasses
 import re
+from contextlib import contextmanager
 from pathlib import Path
 
 import libsumo
@@ -392,17 +393,24 @@ def test_where_the_host_waits_no_lane_change_begins_that_could_reach_into_the_ju
         assert driven.refused_decisions > 5
 
 
-@pytest.mark.parametrize("stuck_at_m", [600.5, 590.0])
-def test_before_a_junction_the_host_stops_comfortably_for_who_is_stuck_across_its_way(crossing, stuck_at_m):
-    """Not for who waits at the line. It looked within the junction alone before, and came to that at 50 km/h."""
+@contextmanager
+def coming(crossing, across_mps):
+    """Open a simulation in which the host comes at 14 m/s to a crossing that another vehicle drives across."""
     course = road.load(str(crossing("G").network.file), ("in", "out"))
     with Simulation(course.net_file, seed=1) as simulation:
         simulation.lay_course(course, config.Adas(), sees_m=300.0)
         simulation.add_host(["in", "out"], lane=0, front_m=100.0, speed_mps=14.0)
         libsumo.route.add("across", ["up", "on"])
-        libsumo.vehicle.add("stuck", "across", departLane="0", departPos="585", departSpeed="5")
+        libsumo.vehicle.add("stuck", "across", departLane="0", departPos="585", departSpeed=f"{across_mps}")
         simulation.wait_for_host()
         libsumo.vehicle.setSpeedMode("stuck", 0)
+        yield simulation
+
+
+@pytest.mark.parametrize("stuck_at_m", [600.5, 590.0])
+def test_before_a_junction_the_host_stops_comfortably_for_who_is_stuck_across_its_way(crossing, stuck_at_m):
+    """Not for who waits at the line. It looked within the junction alone before, and came to that at 50 km/h."""
+    with coming(crossing, 5.0) as simulation:
         while libsumo.vehicle.getDistance("stuck") + 585.0 < stuck_at_m:
             libsumo.vehicle.setSpeed("stuck", 5.0)
             simulation.run(Command(14.0))
@@ -421,19 +429,12 @@ def test_before_a_junction_the_host_stops_comfortably_for_who_is_stuck_across_it
 
 def test_for_who_stops_across_its_way_late_the_host_brakes_no_harder_than_it_takes(crossing):
     """From 14 m/s within 28 m, by 3.5 m/s². It braked by 9 m/s² at first."""
-    course = road.load(str(crossing("G").network.file), ("in", "out"))
-    with Simulation(course.net_file, seed=1) as simulation:
-        simulation.lay_course(course, config.Adas(), sees_m=300.0)
-        simulation.add_host(["in", "out"], lane=0, front_m=100.0, speed_mps=14.0)
-        libsumo.route.add("across", ["up", "on"])
-        libsumo.vehicle.add("stops", "across", departLane="0", departPos="585", departSpeed="1.3")
-        simulation.wait_for_host()
+    with coming(crossing, 1.3) as simulation:
         host = simulation.host
-        libsumo.vehicle.setSpeedMode("stops", 0)
         while libsumo.vehicle.getLanePosition(host.name) < 296.0 - 28.0:
-            libsumo.vehicle.setSpeed("stops", 1.3)
+            libsumo.vehicle.setSpeed("stuck", 1.3)
             simulation.run(Command(14.0))
-        libsumo.vehicle.setSpeed("stops", 0.0)
+        libsumo.vehicle.setSpeed("stuck", 0.0)
         simulation.run(Command(14.0, steps=100))
         assert (host.contact, libsumo.vehicle.getRoadID(host.name)) == (False, "in")
         assert host.speeds_mps[-1] < 0.1

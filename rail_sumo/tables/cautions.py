@@ -1,7 +1,7 @@
 """What the runs of a sweep tell against its own figures: who waits, where the road fills up or locks, who loses."""
 
 import math
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 
 import pandas as pd
 
@@ -74,14 +74,14 @@ def growth(table: pd.DataFrame) -> Iterator[str]:
     growth = ends - begins
     grown = growth[(growth >= GROWN) & (growth > GROWN_BY * begins)].sort_values(ascending=False)
     if len(grown):
-        untold = [arm for arm in growth.index if arm[0] == shares.AS_THEY_ARE and not arm[2] and arm not in grown]
-        told, beside = (
-            [f"{shares.called(*arm)} from {begins[arm]:.0f} to {ends[arm]:.0f}" for arm in arms]
-            for arms in (grown.index, untold)
-        )
+
+        def told(arms: Iterable[tuple[str, str, float]]) -> str:
+            return _listed([f"{shares.called(*arm)} from {begins[arm]:.0f} to {ends[arm]:.0f}" for arm in arms])
+
+        beside = [arm for arm in growth.index if arm[0] == shares.AS_THEY_ARE and not arm[2] and arm not in grown]
         yield (
-            f"the road fills up in the period, by vehicles in the mean over seeds: {_listed(told)}"
-            f"{f' ({_listed(beside)})' if beside else ''}: figures depend on when it begins and ends"
+            f"the road fills up in the period, by vehicles in the mean over seeds: {told(grown.index)}"
+            f"{f' ({told(beside)})' if beside else ''}: figures depend on when it begins and ends"
         )
 
 

@@ -154,8 +154,8 @@ class Abilities:
 
         SUMO finds that out a second after it has called the way open, and stops then as late and as hard as it may.
 
-        However far away somebody is who heads for the same lane, SUMO lets in before that one only whoever would need a
-        longer way to stop, by the speeds that they come to there and how hard they may brake: nobody who stands does.
+        Where two head for one lane, SUMO lets the first in only if it would need the longer way to stop, however far
+        away the other is. A vehicle that stands never would, unless it may brake gently alone.
 
         Args:
             is_gentle: whether it does.

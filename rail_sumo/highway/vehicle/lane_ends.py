@@ -15,7 +15,7 @@ LEAVE_LANE_S, LEAVE_LANE_M = 20.0, 300.0
 """How long and how far before its end the host leaves a lane that does not lead on along its course, for each lane to
 cross: whichever is farther, if it drives at the limit.
 
-At 130 km/h it could not cross two lanes within 600 m, and whoever would go the other way stood in its way.
+At 130 km/h two lanes could not be crossed within 600 m: cars that had to change places braked for one another.
 """
 STANDS_BEFORE_M: Mapping[Side, float] = {RIGHT: 2.5, LEFT: 20.0}
 """How far before the end of such a lane the host stands, by the side to which it must leave it.
