@@ -381,6 +381,33 @@ def test_the_gate_opens_where_nobody_need_brake_beyond_3_5_mps2_and_not_a_hair_b
     assert not allows(least_m - 1e-6)
 
 
+@pytest.mark.parametrize(
+    ("which", "speed_mps", "least_m"),
+    [
+        ("ahead", 20.0, 2 + 20),  # the time gap, 1 s
+        ("ahead", 21.0, 2 + 20 - 4),  # within 4 s it opens to that
+        ("ahead", 30.0, 2 + 10),  # half a second at least
+        ("ahead", 10.0, 2 + 10 + (20**2 - 10**2) / (2 * 3.5)),
+        ("behind", 20.0, 2 + 10),
+        ("behind", 19.0, 2 + 9.5 - 4),
+        ("behind", 15.0, 2),
+        ("behind", 25.0, 2 + 10 + (25**2 - 20**2) / (2 * 3.5)),
+    ],
+)
+def test_where_the_host_must_leave_its_lane_it_takes_gaps_that_open(which, speed_mps, least_m):
+    """On a lane of 227 m three of 90 stood at its end, and 23 cars beside slowed down to less than 43 km/h for them."""
+    must = at(to_edge_end_m=200.0, leads_on_m=ENDING)
+
+    def allows(host, gap_m):
+        gap = FREE._replace(**{f"{which}_m": gap_m, f"{which}_speed_mps": speed_mps})
+        return Adas(config.Adas(), start_mps=60.0 / KMH).allowed(host, lambda side: gap)[LEFT]
+
+    assert allows(must, least_m + 1e-6)
+    assert not allows(must, least_m - 1e-6)
+    opens = speed_mps != 20.0 and (speed_mps > 20.0) == (which == "ahead")
+    assert allows(MIDDLE, least_m + 1e-6) == (not opens)
+
+
 def test_the_gate_counts_with_the_hosts_own_time_gap_and_standstill_gap():
     gap = FREE._replace(ahead_m=5 + 1.5 * 10 + (20**2 - 10**2) / (2 * 3.5) + 1e-6, ahead_speed_mps=10.0)
     careful = config.Adas(time_gap_s=1.5, standstill_gap_m=5.0)
@@ -1023,18 +1050,23 @@ def test_hands_off_leaves_the_speed_to_sumo_and_counts_its_lane_changes():
 # A lane that ends.
 
 
-@pytest.mark.parametrize(("lane", "stands_m"), [(4, 2.5), (0, 20.0)])
-def test_the_end_of_a_lane_is_braked_for_comfortably_and_who_is_to_go_left_stands_back(road, lane, stands_m):
-    """So that one in the next lane who is to go right passes it."""
-    road.gaps = closed
-    blocked = at(lane=lane, to_edge_end_m=150.0, leads_on_m=ending(0, 4))
-    speed, ahead_m = 20.0, 150.0
+@pytest.mark.parametrize(
+    ("lane", "for_all", "stands_m", "braking_mps2"), [(4, False, 2.5, 2.0), (0, False, 20.0, 2.0), (0, True, 2.5, 3.0)]
+)
+def test_how_hard_the_end_of_a_lane_is_braked_for_and_where_the_host_stands(
+    road, lane, for_all, stands_m, braking_mps2
+):
+    """Where lanes part, who is to go left stands back, so that one in the next lane who is to go right passes it."""
+    road.gaps = lambda side: FREE._replace(behind_m=1.0)
+    blocked = at(lane=lane, to_edge_end_m=150.0, leads_on_m=ending(0, 4), end_for_all=(for_all,) * 5)
+    speed, ahead_m, hardest_mps2 = 20.0, 150.0, 0.0
     while speed > 0.05 and ahead_m > 0.0:
         command = road.adas.command(blocked._replace(speed_mps=speed, to_edge_end_m=ahead_m), road.gaps, steps=1)
-        assert command.speed_mps >= speed - 0.2 - 1e-9  # 2 m/s²
+        hardest_mps2 = max(hardest_mps2, (speed - command.speed_mps) / SECONDS_PER_STEP)
         speed = command.speed_mps
-        ahead_m -= speed * 0.1
+        ahead_m -= speed * SECONDS_PER_STEP
     assert ahead_m == pytest.approx(stands_m, abs=0.3)
+    assert hardest_mps2 == pytest.approx(braking_mps2, abs=1e-6)
 
 
 def test_where_sumo_takes_the_gap_that_the_host_asks_for_the_change_is_counted_and_over(road):

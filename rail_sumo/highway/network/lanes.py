@@ -49,7 +49,7 @@ def survey(net: Any, way: Way, without_foes: Set[tuple[str, int]]) -> Lanes:
         for edge, lanes, *ahead in zip(
             way.edges,
             way.lanes,
-            _leads_on_m(way),
+            *_leads_on(way),
             _limits_ahead(net, way, junctions_m),
             _goes_on_m(net, way, abreast, CHANGE_LEFT),
             _goes_on_m(net, way, abreast, CHANGE_RIGHT),
@@ -77,15 +77,18 @@ def _through_m(net: Any, joint: Joint) -> float:
     return fmean(ways) if ways else 0.0
 
 
-def _leads_on_m(way: Way) -> list[tuple[float, ...]]:
+def _leads_on(way: Way) -> tuple[list[tuple[float, ...]], list[tuple[bool, ...]]]:
     # For every edge's lanes how far they lead on, from the last edge back; twice round a loop, whose end is nowhere.
-    leads_on = [dict.fromkeys(lanes, math.inf) for lanes in way.lanes]
+    # And whether they end for all there.
+    leads_on = [dict.fromkeys(lanes, (math.inf, False)) for lanes in way.lanes]
     for k, ahead in _backwards(way):
-        leads_on[k] = dict.fromkeys(leads_on[k], 0.0)
+        leads_on[k] = {lane: (0.0, not lane.getOutgoing()) for lane in leads_on[k]}
         for c in way.joints[k]:
-            farther = way.edges[ahead].getLength() + leads_on[ahead][c.getToLane()]
+            beyond_m, for_all = leads_on[ahead][c.getToLane()]
+            farther = (way.edges[ahead].getLength() + beyond_m, for_all)
             leads_on[k][c.getFromLane()] = max(leads_on[k][c.getFromLane()], farther)
-    return [tuple(lanes.values()) for lanes in leads_on]
+    metres = [tuple(beyond_m for beyond_m, _ in lanes.values()) for lanes in leads_on]
+    return metres, [tuple(for_all for _, for_all in lanes.values()) for lanes in leads_on]
 
 
 def _backwards(way: Way) -> Iterator[tuple[int, int]]:
@@ -191,6 +194,7 @@ def _edge(
     lanes: list[Any],
     way: Way,
     leads_on_m: tuple[float, ...],
+    end_for_all: tuple[bool, ...],
     limits_ahead: tuple[Limits, ...],
     left_goes_on_m: tuple[float, ...],
     right_goes_on_m: tuple[float, ...],
@@ -205,6 +209,7 @@ def _edge(
         to_left_m=to_left_m,
         to_right_m=to_right_m,
         leads_on_m=leads_on_m,
+        end_for_all=end_for_all,
         left_goes_on_m=left_goes_on_m,
         right_goes_on_m=right_goes_on_m,
         first_lane=lanes[0].getIndex(),
@@ -235,6 +240,7 @@ def _inside_edge(net: Any, joint: Joint, abreast: list[Pair], ahead: Edge, way: 
         to_left_m=to_left_m,
         to_right_m=to_right_m,
         leads_on_m=tuple(ahead.length_m + ahead.leads_on_m[k] for k in there),
+        end_for_all=tuple(ahead.end_for_all[k] for k in there),
         left_goes_on_m=tuple(
             ahead.length_m + ahead.left_goes_on_m[k] if m else 0.0 for m, k in zip(to_left_m, there, strict=True)
         ),

@@ -20,6 +20,8 @@ LATE_LATERAL_M = 0.25
 sees the host only from then on, and with this margin two cars 1.8 m wide cannot have touched before."""
 FOLLOWER_TIME_GAP_S = 0.5
 """Time gap that the gate leaves to the vehicle behind."""
+OPENING_TIME_GAP_S = 0.5
+"""Time gap that it leaves at least to a faster vehicle ahead, where the host must leave its lane."""
 GATE_BRAKING_MPS2 = HARD_MPS2
 """The hardest braking that a lane change may cost the host behind its new leader, or its new follower."""
 
@@ -217,7 +219,7 @@ class Adas:
             return "lane ends"
         if self._settles and side == self._came_from and side != lane_ends.way_on(host):
             return "just left"
-        if not self._safe(host.speed_mps, gaps(side)):
+        if not self._safe(host, side, gaps(side)):
             return "gap"
         return "" if side == lane_ends.must_leave(host) or self._gains(side, host, gaps) else "no gain"
 
@@ -254,13 +256,20 @@ class Adas:
         fastest = max(host.speed_mps, self._config.highest_mps(host.limit_mps))
         return room_m >= min(host.speed_mps + 0.5 * faster * seconds, fastest) * seconds
 
-    def _safe(self, speed_mps: float, gap: Gaps) -> bool:
-        """The gate: neither the host behind its new leader nor the new follower needs to brake hard."""
-        hosts_own = min(GATE_BRAKING_MPS2, self._config.emergency_braking_mps2)
-        ahead = _gap_needed(speed_mps, gap.ahead_speed_mps, self._config.time_gap_s, hosts_own)
-        behind = _gap_needed(gap.behind_speed_mps, speed_mps, FOLLOWER_TIME_GAP_S, GATE_BRAKING_MPS2)
-        standstill = self._config.standstill_gap_m
-        return gap.ahead_m >= standstill + ahead and gap.behind_m >= standstill + behind
+    def _safe(self, host: HostState, side: Side, gap: Gaps) -> bool:
+        """The gate: neither the host behind its new leader nor the new follower needs to brake hard.
+
+        Where the host must leave its lane, it takes shorter gaps that open: within 4 s to what the gate would ask for.
+        """
+        limits, speed_mps = self._config, host.speed_mps
+        ahead_mps, behind_mps = gap.ahead_speed_mps, gap.behind_speed_mps
+        hosts_own = min(GATE_BRAKING_MPS2, limits.emergency_braking_mps2)
+        ahead = _gap_needed(speed_mps, ahead_mps, limits.time_gap_s, hosts_own)
+        behind = _gap_needed(behind_mps, speed_mps, FOLLOWER_TIME_GAP_S, GATE_BRAKING_MPS2)
+        if side == lane_ends.way_on(host):
+            ahead = max(ahead - acc.FALLS_BACK_S * max(ahead_mps - speed_mps, 0.0), OPENING_TIME_GAP_S * speed_mps)
+            behind = max(behind - acc.FALLS_BACK_S * max(speed_mps - behind_mps, 0.0), 0.0)
+        return gap.ahead_m >= limits.standstill_gap_m + ahead and gap.behind_m >= limits.standstill_gap_m + behind
 
     def _sideways(self, side: Side, speed: float, host: HostState, gaps: Callable[[int], Gaps]) -> Command:
         """One step of the change under way.
@@ -269,7 +278,7 @@ class Adas:
         number: it waits beside the border. Nothing takes it on from a lane that leads nowhere.
         """
         into = self._into(side)
-        if self.aim and not (_across(host, into) and self._safe(host.speed_mps, gaps(into))):
+        if self.aim and not (_across(host, into) and self._safe(host, into, gaps(into))):
             self._reversing = not self._reversing  # the lane the host is a vehicle of is always open to it
         stride = self._config.lateral_speed_mps * SECONDS_PER_STEP
         moved = min(max(self._moved + (-stride if self._reversing else stride), 0.0), self._width)
@@ -313,9 +322,10 @@ def _within_limits(speed_mps: float, host: HostState, config: config.Adas, *, st
     allowed = min(speed_mps, _approaching(host.limit_mps, host, 0.0, travel_m, comfort))
     for beyond_m, limit in host.limits_ahead:
         allowed = min(allowed, _approaching(limit, host, host.to_edge_end_m + beyond_m, travel_m, comfort))
-    for ahead_m, slow in (*host.stops_ahead, (lane_ends.stands_in_m(host), 0.0)):
+    lane_end = (lane_ends.stands_in_m(host), 0.0, lane_ends.braking_mps2(host, comfort))
+    for ahead_m, slow, least in (*((*stop, comfort) for stop in host.stops_ahead), lane_end):
         it_takes = (host.speed_mps**2 - slow**2) / (2 * max(ahead_m, TOUCH_M))
-        allowed = min(allowed, _approaching(slow, host, ahead_m, travel_m, min(max(it_takes, comfort), hardest)))
+        allowed = min(allowed, _approaching(slow, host, ahead_m, travel_m, min(max(it_takes, least), hardest)))
     return allowed
 
 

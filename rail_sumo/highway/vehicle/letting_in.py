@@ -8,7 +8,7 @@ from rail_sumo import config
 from rail_sumo.highway.vehicle import acc, neighbours
 from rail_sumo.highway.vehicle.acc import Leader
 from rail_sumo.highway.vehicle.hard_braking import HARD_MPS2
-from rail_sumo.highway.vehicle.lane_ends import LEFT, RIGHT, STANDS_BEFORE_M, Side, other
+from rail_sumo.highway.vehicle.lane_ends import LEFT, RIGHT, Side, other, stands_before_m
 from rail_sumo.highway.vehicle.neighbours import Neighbours
 from rail_sumo.highway.vehicle.whereabouts import to_lane_end_m
 
@@ -169,7 +169,7 @@ class LettingIn:
         must = WANTS[towards] | STRATEGIC
         for name, gap_m in self._beside.all_ahead(side):
             if vehicle.getParameter(name, INDICATOR) == str(towards):
-                before_m = STANDS_BEFORE_M[towards]
+                before_m = stands_before_m(towards, ends_for_all=not libsumo.lane.getLinks(vehicle.getLaneID(name)))
             elif _means(name, towards) & must == must and vehicle.getParameter(name, MUST_LEAVE) in ("", str(towards)):
                 before_m = 0.0
             else:
