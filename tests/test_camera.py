@@ -155,9 +155,21 @@ def test_signals_are_filmed_and_each_has_its_part_of_a_stop_line():
         assert all(one != other for one, other in itertools.pairwise(letters))
 
 
-def test_at_the_end_of_an_acceleration_lane_the_speed_follows_the_lanes_end_until_the_layer_leaves_it():
-    traffic = {"routes": (str(assets.routes("onramp")),), "warm_up_s": 30.0, "host": "replaces"}
-    film, trajectory, _ = filmed(on("onramp", traffic=traffic), "rule", UNSEEN + 3)  # it enters by the ramp
+PLATOON = """<routes>
+    <vType id="fast" maxSpeed="33" tau="0.6" sigma="0" speedFactor="1" lcCooperative="0" lcStrategic="-1"
+           lcSpeedGain="0" lcKeepRight="0"/>
+    <route id="main" edges="main3 merge2 main4"/>
+    <flow id="main" type="fast" route="main" begin="0" end="60" period="1.25" departLane="0" departSpeed="max"/>
+    <vehicle id="joins" depart="21.5" departSpeed="max"><route edges="on2 merge2 main4"/></vehicle>
+</routes>"""
+"""Nobody of a platoon at 119 km/h lets in who joins from a ramp at 60 km/h."""
+
+
+def test_at_the_end_of_an_acceleration_lane_the_speed_follows_the_lanes_end_until_the_layer_leaves_it(tmp_path):
+    demand = tmp_path / "platoon.rou.xml"
+    demand.write_text(PLATOON)
+    traffic = {"routes": (str(demand),), "warm_up_s": 0.0, "host": "joins"}
+    film, trajectory, _ = filmed(on("onramp", traffic=traffic), "rule", UNSEEN)
     ends = np.array([HOLDINGS[k] == "lane end" for k in film.driven.holding])
     assert ends.any()
     assert (np.diff(trajectory.speed_mps)[ends[1:] & ends[:-1]] < 0.0).all()  # from the frame on in which it begins
