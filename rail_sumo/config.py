@@ -241,7 +241,7 @@ class Adas(_Section):
     """The hardest at which the host speeds up."""
     comfort_braking_mps2: Positive = 2.0
     """For everything that is in sight in time: traffic ahead, a lower set speed, limits, signals, right of way. Behind
-    traffic never more than ISO 15622 allows."""
+    traffic never more than ISO 15622 allows. For the end of an acceleration lane 3, if this is less."""
     emergency_braking_mps2: Annotated[float, Field(gt=0.0, le=9.0)] = 9.0
     """The hardest, when somebody cuts in or brakes hard, or a light turns late."""
     time_gap_s: Annotated[float, Field(ge=1.0, le=5.0)] = 1.0

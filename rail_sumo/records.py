@@ -110,8 +110,8 @@ class HostState(NamedTuple):
     right_goes_on_m: float = 0.0
     sumos_lane_changes: int = 0
     """How often SUMO has changed lanes by now, as the host's driver or while the host asked to be let in."""
-    end_for_all: tuple[bool, ...] = ()
-    """For each lane, from the rightmost: whether it leads nobody on from where it ends; empty where none does."""
+    dead_ends: tuple[bool, ...] = ()
+    """For each lane, from the rightmost: whether it leads nobody on where it ends; empty where none ends."""
     queued_m: tuple[float, ...] = ()
     """For each lane, from the rightmost: how long the queue ahead in it is; empty where none matters."""
 
@@ -119,9 +119,9 @@ class HostState(NamedTuple):
         """Return how far ahead of the host a lane stops leading on along the course."""
         return self.to_edge_end_m + self.leads_on_m[lane - self.rightmost_lane]
 
-    def ends_for_all(self, lane: int) -> bool:
-        """Return whether a lane leads nobody on from where it ends."""
-        return any(self.end_for_all) and self.end_for_all[lane - self.rightmost_lane]
+    def is_dead_end(self, lane: int) -> bool:
+        """Return whether a lane leads nobody on where it ends."""
+        return bool(self.dead_ends) and self.dead_ends[lane - self.rightmost_lane]
 
 
 class Gaps(NamedTuple):

@@ -1051,14 +1051,15 @@ def test_hands_off_leaves_the_speed_to_sumo_and_counts_its_lane_changes():
 
 
 @pytest.mark.parametrize(
-    ("lane", "for_all", "stands_m", "braking_mps2"), [(4, False, 2.5, 2.0), (0, False, 20.0, 2.0), (0, True, 2.5, 3.0)]
+    ("lane", "is_dead_end", "stands_m", "braking_mps2"),
+    [(4, False, 2.5, 2.0), (0, False, 20.0, 2.0), (0, True, 2.5, 3.0)],
 )
 def test_how_hard_the_end_of_a_lane_is_braked_for_and_where_the_host_stands(
-    road, lane, for_all, stands_m, braking_mps2
+    road, lane, is_dead_end, stands_m, braking_mps2
 ):
     """Where lanes part, who is to go left stands back, so that one in the next lane who is to go right passes it."""
     road.gaps = lambda side: FREE._replace(behind_m=1.0)
-    blocked = at(lane=lane, to_edge_end_m=150.0, leads_on_m=ending(0, 4), end_for_all=(for_all,) * 5)
+    blocked = at(lane=lane, to_edge_end_m=150.0, leads_on_m=ending(0, 4), dead_ends=(is_dead_end,) * 5)
     speed, ahead_m, hardest_mps2 = 20.0, 150.0, 0.0
     while speed > 0.05 and ahead_m > 0.0:
         command = road.adas.command(blocked._replace(speed_mps=speed, to_edge_end_m=ahead_m), road.gaps, steps=1)

@@ -103,6 +103,42 @@ def test_on_a_fast_road_driven_cars_sort_themselves_before_an_exit_and_none_slow
         slowest_mps.clear()
 
 
+JOINING = (
+    """<routes>
+    <vType id="car" maxSpeed="27.8" speedFactor="normc(1,0.1,0.8,1.2)"/>
+    <route id="main" edges="main3 merge2 main4"/>
+    <route id="ramp" edges="on2 merge2 main4"/>
+    <flow id="ramp" type="car" route="ramp" begin="1" end="600" period="exp(0.2)" departSpeed="max"/>"""
+    + "".join(
+        f'<flow id="main{lane}" type="car" route="main" begin="1" end="600" period="exp(0.45)" departLane="{lane}" '
+        'departSpeed="desired"/>'
+        for lane in range(3)
+    )
+    + "</routes>"
+)
+"""1,600 vehicles an hour in each of three lanes, and 700 that join them from a ramp at 60 km/h."""
+
+
+def test_on_an_acceleration_lane_driven_cars_speed_up_and_have_nobody_slow_down(tmp_path, monkeypatch):
+    """Who braked comfortably for the lane's end and wanted the whole time gap came down to 10.5 m/s."""
+    demand = tmp_path / "joining.rou.xml"
+    demand.write_text(JOINING)
+    slowest_mps = {}
+
+    def look(simulation):
+        for name in libsumo.vehicle.getIDList():
+            lane = libsumo.vehicle.getLaneID(name)
+            if lane.startswith("merge2") and (lane == "merge2_0" or not name.startswith("ramp")):
+                slowest_mps[name] = min(slowest_mps.get(name, math.inf), libsumo.vehicle.getSpeed(name))
+
+    watched(monkeypatch, look)
+    world = with_demand("onramp", demand)
+    Fleet(world, 1.0, 0, driver("rule", world)).drive(180.0)
+    assert len([name for name in slowest_mps if name.startswith("ramp")]) > 30
+    assert len(slowest_mps) > 200
+    assert min(slowest_mps.values()) > 12.0
+
+
 @pytest.mark.parametrize(("gap_s", "goes_first"), [(6.0, False), (10.0, True), (15.0, True)])
 def test_whoever_stands_at_a_line_takes_a_gap_that_is_long_enough(tmp_path, monkeypatch, gap_s, goes_first):
     """To turn left into the lane of those who come. SUMO itself lets nobody who stands in, however far they are."""

@@ -5,7 +5,6 @@ import numpy as np
 import pytest
 from driving import KEEP, Watched, always, drive
 
-from rail_sumo import rollout, roster
 from rail_sumo.config import Adas
 from rail_sumo.config_file import validate
 from rail_sumo.highway.network import road
@@ -101,46 +100,9 @@ def test_the_host_does_not_ask_beside_somebody_who_would_have_it_brake_hard(gap_
         assert (insists < 1e-6) == asks
 
 
-JOINING = (
-    """<routes>
-    <vType id="car" maxSpeed="27.8" speedFactor="normc(1,0.1,0.8,1.2)"/>
-    <route id="main" edges="main3 merge2 main4"/>
-    <route id="ramp" edges="on2 merge2 main4"/>
-    <flow id="ramp" type="car" route="ramp" begin="1" end="600" period="exp(0.2)" departSpeed="max"/>"""
-    + "".join(
-        f'<flow id="main{lane}" type="car" route="main" begin="1" end="600" period="exp(0.45)" departLane="{lane}" '
-        'departSpeed="desired"/>'
-        for lane in range(3)
-    )
-    + "</routes>"
-)
-"""1,600 vehicles an hour in each of three lanes, and 700 that join them from a ramp at 60 km/h."""
-
-
-def test_where_all_are_driven_those_who_join_speed_up_for_that_and_have_nobody_slow_down(tmp_path, monkeypatch):
-    """Who braked comfortably for the lane's end and wanted the whole time gap came down to 10.5 m/s."""
-    demand, step = tmp_path / "joining.rou.xml", Simulation.step
-    demand.write_text(JOINING)
-    world = validate({"network": {"file": "onramp"}, "traffic": {"routes": [str(demand)]}})
-    slowest_mps = {}
-
-    def looking(simulation):
-        for name in libsumo.vehicle.getIDList():
-            lane = libsumo.vehicle.getLaneID(name)
-            if lane.startswith("merge2") and (lane == "merge2_0" or not name.startswith("ramp")):
-                slowest_mps[name] = min(slowest_mps.get(name, 99.0), libsumo.vehicle.getSpeed(name))
-        return step(simulation)
-
-    monkeypatch.setattr(Simulation, "step", looking)
-    rollout.fleet_of(roster.find_driver("rule", world), world, 1.0, 0).drive(180.0)
-    assert len([name for name in slowest_mps if name.startswith("ramp")]) > 30
-    assert len(slowest_mps) > 200
-    assert min(slowest_mps.values()) > 12.0
-
-
 def test_there_is_such_a_lane():
     merge = road.load("onramp", ("on1", "merge1", "main2")).edges[1]
     assert (merge.n_lanes, merge.leads_on_m[0]) == (4, 0.0)
-    assert merge.end_for_all[0]
+    assert merge.dead_ends[0]
     leads_off = road.load("onramp", ("main2", "diverge", "main3")).edges[1]
-    assert (leads_off.leads_on_m[0], leads_off.end_for_all[0]) == (0.0, False)
+    assert (leads_off.leads_on_m[0], leads_off.dead_ends[0]) == (0.0, False)

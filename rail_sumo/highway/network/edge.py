@@ -23,8 +23,8 @@ class Edge:
     """The same to its right."""
     leads_on_m: tuple[float, ...]
     """For each lane: how far beyond the edge's end it leads on along the course, junctions left out; inf to its end."""
-    end_for_all: tuple[bool, ...]
-    """For each lane: whether it leads nobody on from where it stops to, as at the end of an acceleration lane."""
+    dead_ends: tuple[bool, ...]
+    """For each lane: whether it leads nobody on where it stops leading on along the course, as an acceleration lane."""
     left_goes_on_m: tuple[float, ...]
     """For each lane: how far beyond the edge's end it may be left for the lane to its left without a break: both lead
     on side by side, through junctions without conflicts, and no line forbids it. Junctions count; inf round a loop."""

@@ -79,16 +79,16 @@ def _through_m(net: Any, joint: Joint) -> float:
 
 def _leads_on(way: Way) -> tuple[list[tuple[float, ...]], list[tuple[bool, ...]]]:
     # For every edge's lanes how far they lead on, from the last edge back; twice round a loop, whose end is nowhere.
-    # And whether they end for all there.
+    # And whether they are dead ends.
     leads_on = [dict.fromkeys(lanes, (math.inf, False)) for lanes in way.lanes]
     for k, ahead in _backwards(way):
         leads_on[k] = {lane: (0.0, not lane.getOutgoing()) for lane in leads_on[k]}
         for c in way.joints[k]:
-            beyond_m, for_all = leads_on[ahead][c.getToLane()]
-            farther = (way.edges[ahead].getLength() + beyond_m, for_all)
+            beyond_m, is_dead_end = leads_on[ahead][c.getToLane()]
+            farther = (way.edges[ahead].getLength() + beyond_m, is_dead_end)
             leads_on[k][c.getFromLane()] = max(leads_on[k][c.getFromLane()], farther)
     metres = [tuple(beyond_m for beyond_m, _ in lanes.values()) for lanes in leads_on]
-    return metres, [tuple(for_all for _, for_all in lanes.values()) for lanes in leads_on]
+    return metres, [tuple(is_dead_end for _, is_dead_end in lanes.values()) for lanes in leads_on]
 
 
 def _backwards(way: Way) -> Iterator[tuple[int, int]]:
@@ -194,7 +194,7 @@ def _edge(
     lanes: list[Any],
     way: Way,
     leads_on_m: tuple[float, ...],
-    end_for_all: tuple[bool, ...],
+    dead_ends: tuple[bool, ...],
     limits_ahead: tuple[Limits, ...],
     left_goes_on_m: tuple[float, ...],
     right_goes_on_m: tuple[float, ...],
@@ -209,7 +209,7 @@ def _edge(
         to_left_m=to_left_m,
         to_right_m=to_right_m,
         leads_on_m=leads_on_m,
-        end_for_all=end_for_all,
+        dead_ends=dead_ends,
         left_goes_on_m=left_goes_on_m,
         right_goes_on_m=right_goes_on_m,
         first_lane=lanes[0].getIndex(),
@@ -240,7 +240,7 @@ def _inside_edge(net: Any, joint: Joint, abreast: list[Pair], ahead: Edge, way: 
         to_left_m=to_left_m,
         to_right_m=to_right_m,
         leads_on_m=tuple(ahead.length_m + ahead.leads_on_m[k] for k in there),
-        end_for_all=tuple(ahead.end_for_all[k] for k in there),
+        dead_ends=tuple(ahead.dead_ends[k] for k in there),
         left_goes_on_m=tuple(
             ahead.length_m + ahead.left_goes_on_m[k] if m else 0.0 for m, k in zip(to_left_m, there, strict=True)
         ),

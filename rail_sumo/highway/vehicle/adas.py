@@ -312,8 +312,8 @@ class Adas:
 def _within_limits(speed_mps: float, host: HostState, config: config.Adas, *, steps: int) -> float:
     """Return a speed, lowered as far as it must so that in so many steps the host keeps to every limit and stop.
 
-    It brakes comfortably. Where it is too late for that, it exceeds a limit for a while, but for a stop brakes as hard
-    as it takes.
+    It brakes comfortably; for a dead end, harder. Where it is too late for that, it exceeds a limit for a while, but
+    for a stop brakes as hard as it takes.
     """
     comfort, hardest = config.comfort_braking_mps2, config.emergency_braking_mps2
     seconds = steps * SECONDS_PER_STEP
@@ -322,8 +322,9 @@ def _within_limits(speed_mps: float, host: HostState, config: config.Adas, *, st
     allowed = min(speed_mps, _approaching(host.limit_mps, host, 0.0, travel_m, comfort))
     for beyond_m, limit in host.limits_ahead:
         allowed = min(allowed, _approaching(limit, host, host.to_edge_end_m + beyond_m, travel_m, comfort))
-    lane_end = (lane_ends.stands_in_m(host), 0.0, lane_ends.braking_mps2(host, comfort))
-    for ahead_m, slow, least in (*((*stop, comfort) for stop in host.stops_ahead), lane_end):
+    stops = [(*stop, comfort) for stop in host.stops_ahead]
+    stops.append((lane_ends.stands_in_m(host), 0.0, lane_ends.braking_mps2(host, comfort)))
+    for ahead_m, slow, least in stops:
         it_takes = (host.speed_mps**2 - slow**2) / (2 * max(ahead_m, TOUCH_M))
         allowed = min(allowed, _approaching(slow, host, ahead_m, travel_m, min(max(it_takes, least), hardest)))
     return allowed

@@ -212,7 +212,7 @@ class Host:
             to_left_m=edge.to_left_m[here],
             to_right_m=edge.to_right_m[here],
             leads_on_m=edge.leads_on_m,
-            end_for_all=edge.end_for_all,
+            dead_ends=edge.dead_ends,
             limit_mps=limit_mps,
             left_goes_on_m=edge.left_goes_on_m[here],
             right_goes_on_m=edge.right_goes_on_m[here],

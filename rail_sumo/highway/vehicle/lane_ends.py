@@ -24,8 +24,8 @@ SUMO stands closer to it, and brakes for that harder. Where lanes part, each of 
 the other is: the one that must go left stands back, and the other passes it. SUMO's lane changer keeps such room too
 (blocker length).
 """
-FOR_END_MPS2 = 3.0
-"""How hard the host brakes for the end of a lane that ends for all, as it does for nothing else in sight.
+FOR_DEAD_END_MPS2 = 3.0
+"""How hard the host brakes for the end of a lane that leads nobody on, as it does for nothing else in sight.
 
 Whoever brakes comfortably on an acceleration lane comes into the flow beside too slow. SUMO's drivers brake by `decel`.
 """
@@ -106,20 +106,20 @@ def stands_in_m(host: HostState) -> float:
     ends_in_m = host.ends_in_m(host.lane)
     if math.isinf(ends_in_m):
         return math.inf
-    return ends_in_m - stands_before_m(must_leave(host) or RIGHT, ends_for_all=host.ends_for_all(host.lane))
+    return ends_in_m - stands_before_m(must_leave(host) or RIGHT, is_dead_end=host.is_dead_end(host.lane))
 
 
 def braking_mps2(host: HostState, comfort_mps2: float) -> float:
     """Return how hard the host brakes at least to stand there."""
-    return max(comfort_mps2, FOR_END_MPS2) if host.ends_for_all(host.lane) else comfort_mps2
+    return max(comfort_mps2, FOR_DEAD_END_MPS2) if host.is_dead_end(host.lane) else comfort_mps2
 
 
-def stands_before_m(side: Side, *, ends_for_all: bool) -> float:
+def stands_before_m(side: Side, *, is_dead_end: bool) -> float:
     """Return how far before the end of a lane that must be left to this side a host stands.
 
-    Out of one that ends for all nobody beside has to come into it.
+    Into a dead end nobody beside has to come.
     """
-    return STANDS_BEFORE_M[RIGHT if ends_for_all else side]
+    return STANDS_BEFORE_M[RIGHT if is_dead_end else side]
 
 
 def joins_in_m(host: HostState) -> float:

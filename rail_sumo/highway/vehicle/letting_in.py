@@ -169,7 +169,7 @@ class LettingIn:
         must = WANTS[towards] | STRATEGIC
         for name, gap_m in self._beside.all_ahead(side):
             if vehicle.getParameter(name, INDICATOR) == str(towards):
-                before_m = stands_before_m(towards, ends_for_all=not libsumo.lane.getLinks(vehicle.getLaneID(name)))
+                before_m = stands_before_m(towards, is_dead_end=not libsumo.lane.getLinks(vehicle.getLaneID(name)))
             elif _means(name, towards) & must == must and vehicle.getParameter(name, MUST_LEAVE) in ("", str(towards)):
                 before_m = 0.0
             else:
