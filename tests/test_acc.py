@@ -189,6 +189,8 @@ def test_nobody_is_let_in_for_whom_there_would_be_no_room():
     assert acc.letting_in_mps(14.0, Leader(51.4, 0.0), 0.0, DEFAULT) == math.inf
     assert acc.letting_in_mps(14.0, Leader(51.6, 0.0), 0.0, DEFAULT) < 14.0
     assert acc.letting_in_mps(14.0, Leader(21.6, 10.0), 30.0, DEFAULT) < 14.0
+    assert acc.letting_in_mps(14.0, Leader(6.4, 10.0), 30.0, DEFAULT) == math.inf  # it slows down by 4 m/s within 4 m
+    assert acc.letting_in_mps(14.0, Leader(6.6, 10.0), 30.0, DEFAULT) < 14.0
     assert acc.letting_in_mps(0.0, Leader(1.8, 0.0), 0.0, DEFAULT) == math.inf  # or both would stand for ever
 
 

@@ -156,10 +156,11 @@ def test_signals_are_filmed_and_each_has_its_part_of_a_stop_line():
 
 
 PLATOON = """<routes>
-    <vType id="fast" maxSpeed="33" tau="0.6" sigma="0" speedFactor="1" lcCooperative="0" lcStrategic="-1"
+    <vType id="fast" maxSpeed="33" tau="0.3" sigma="0" speedFactor="1" lcCooperative="0" lcStrategic="-1"
            lcSpeedGain="0" lcKeepRight="0"/>
     <route id="main" edges="main3 merge2 main4"/>
-    <flow id="main" type="fast" route="main" begin="0" end="60" period="1.25" departLane="0" departSpeed="max"/>
+    <flow id="right" type="fast" route="main" begin="0" end="22" period="0.6" departLane="0" departSpeed="max"/>
+    <flow id="left" type="fast" route="main" begin="0" end="22" period="0.6" departLane="1" departSpeed="max"/>
     <vehicle id="joins" depart="21.5" departSpeed="max"><route edges="on2 merge2 main4"/></vehicle>
 </routes>"""
 """Nobody of a platoon at 119 km/h lets in who joins from a ramp at 60 km/h."""

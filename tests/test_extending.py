@@ -22,7 +22,13 @@ from rail_sumo.records import MetaAction, Scene
 from rail_sumo.run_directory import RunDirectory
 
 DOCUMENT = Path(__file__).parent.parent.joinpath("docs", "extending.md").read_text(encoding="utf-8")
-BRIEF = ["train.iterations=2", "train.horizon_s=10", "train.evaluation_episodes=1", "episode.duration_s=10"]
+BRIEF = [
+    "cloning.epochs=5",
+    "train.iterations=2",
+    "train.horizon_s=10",
+    "train.evaluation_episodes=1",
+    "episode.duration_s=10",
+]
 
 
 @pytest.fixture

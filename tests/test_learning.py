@@ -14,8 +14,8 @@ SHORT = (
     "cloning.epochs=20",  # and so does an unmasked one nearly, if cloned for long
     "train.iterations=60",  # with 30, chance alone is worth two thirds as much on so short-sighted a clone
     "search.n_directions=8",
-    "train.evaluation_episodes=48",
-    "train.horizon_s=120",
+    "train.evaluation_episodes=24",
+    "train.horizon_s=60",
     "episode.duration_s=180",
 )
 

@@ -20,7 +20,8 @@ from rail_sumo.tables import report
 ROOT = Path(__file__).parent.parent
 README = (ROOT / "README.md").read_text(encoding="utf-8")
 LONG_AND_SHORT = {
-    '"train.iterations=20"': '"train.iterations=1", "search.n_directions=2", "train.evaluation_episodes=1"',
+    '"train.iterations=20"': '"train.iterations=1", "search.n_directions=2", "train.evaluation_episodes=1", '
+    '"cloning.epochs=5", "episode.duration_s=60"',
     "episodes=16": "episodes=2",
 }
 
@@ -35,6 +36,12 @@ def shortened(text):
         assert long in text
         text = text.replace(long, short)
     return text
+
+
+def in_one_process(text):
+    """It in one process: to start two takes longer than what they do here."""
+    assert "workers=2" in text
+    return text.replace("workers=2", "workers=1")
 
 
 def run(folder, *command):
@@ -101,13 +108,16 @@ def test_the_python_shown_runs_in_an_empty_folder(tmp_path):
     assert [line.split()[0] for line in speeds.splitlines()[1:]] == ["runs/linear", "expert", "rule"]
     for seed in range(3):
         shutil.copytree(tmp_path / "runs" / "linear", tmp_path / "runs" / f"mine-seed{seed}")
-    (tmp_path / "over_trainings.py").write_text(over_trainings.replace("episodes=16", "episodes=1"), encoding="utf-8")
+    brief = in_one_process(over_trainings).replace("episodes=16", "episodes=1")
+    brief = brief.replace('"]', '", "episode.duration_s=60"]', 1)
+    (tmp_path / "over_trainings.py").write_text(brief, encoding="utf-8")
     assert re.fullmatch(r"[01]\.\d+ \(.* to .*\) of the expert's speed", run(tmp_path, "over_trainings.py").strip())
-    brief = apart.replace("episodes=16", "episodes=4").replace('"]', '", "episode.duration_s=60"]', 1)
+    brief = in_one_process(apart).replace("episodes=16", "episodes=4").replace('"]', '", "episode.duration_s=60"]', 1)
     (tmp_path / "apart.py").write_text(brief, encoding="utf-8")
     assert re.fullmatch(r"told apart: [01]\.\d\d", run(tmp_path, "apart.py").strip())
-    brief = '"train.horizon_s=10", "search.n_directions=2", "train.evaluation_episodes=1", "episode.duration_s=20"'
-    in_two = staged.replace("(20, 40, 80, 160)", "(1, 2)").replace("> 20", "> 1")
+    brief = '"train.horizon_s=10", "search.n_directions=2", "train.evaluation_episodes=1", "episode.duration_s=20", '
+    brief += '"cloning.epochs=5"'
+    in_two = in_one_process(staged).replace("(20, 40, 80, 160)", "(1, 2)").replace("> 20", "> 1")
     (tmp_path / "staged.py").write_text(in_two.replace("load()", f"load(None, [{brief}])"), encoding="utf-8")
     assert [line.split()[0] for line in run(tmp_path, "staged.py").splitlines()] == ["1", "2"]
     (tmp_path / "nearest.py").write_text(

@@ -54,7 +54,8 @@ class Abilities:
         """How fast its vehicle may be: no faster than it can, though its course allows it."""
         self._can_mps = math.inf
         self._class = ""  # its own, while it drives on into a lane that was closed too late
-        self._is_gentle = self._stands = self._is_of_a_demand = self._braces = False
+        self._gentle_mps2 = math.inf  # how hard SUMO may brake it for who comes first
+        self._is_of_a_demand = self._braces = False
         self._is_of_a_type = False  # of the demand's, which SUMO drives
         self._comes_down = False  # from the speed that it has entered with to the one that its type drives at
         self._speed_factor: float | None = None  # that SUMO's own driver was last told; None where SUMO keeps its own
@@ -161,34 +162,36 @@ class Abilities:
             is_gentle: whether it does.
             stands: whether the vehicle stands at the line.
         """
-        if (is_gentle, stands) != (self._is_gentle, self._stands):
-            self._is_gentle, self._stands = is_gentle, stands
+        gentle_mps2 = (STARTING_MPS2 if stands else GENTLE_MPS2) if is_gentle else math.inf
+        if gentle_mps2 != self._gentle_mps2:
+            self._gentle_mps2 = gentle_mps2
             self._set("Decel", self._hardest_mps2)
 
     def brace(self, now_mps: float, next_mps: float, leader: Leader | None) -> None:
-        """Have SUMO brake as hard as it may, where it takes more than others expect of the vehicle.
+        """Have SUMO brake as hard as it may, where it takes more than it may brake at other times.
 
-        At other times a vehicle of a demand may not: SUMO's drivers keep a longer gap behind one that may brake harder,
-        and where many are driven, fewer would enter and change lanes.
+        A vehicle of a demand brakes no harder than others expect then: SUMO's drivers keep a longer gap behind one that
+        may brake harder, and where many are driven, fewer would enter and change lanes.
         """
         if not self._is_of_a_demand:
             return
         needed_mps2 = (now_mps - next_mps) / SECONDS_PER_STEP
         if leader is not None:
             needed_mps2 = max(needed_mps2, acc.needed_mps2(now_mps, leader, self._adas))
-        if (needed_mps2 > (GENTLE_MPS2 if self._is_gentle else EXPECTED_BRAKING_MPS2)) != self._braces:
+        if (needed_mps2 > self._unbraced_mps2) != self._braces:
             self._braces = not self._braces
             self._set("Decel", self._hardest_mps2)
 
     @property
     def _hardest_mps2(self) -> float:
         """How hard SUMO may brake it now."""
-        hardest = self._adas.emergency_braking_mps2
-        if self._braces:
-            return hardest
-        if self._is_gentle:
-            return min(STARTING_MPS2 if self._stands else GENTLE_MPS2, hardest)
-        return min(EXPECTED_BRAKING_MPS2, hardest) if self._is_of_a_demand else hardest
+        return self._adas.emergency_braking_mps2 if self._braces else self._unbraced_mps2
+
+    @property
+    def _unbraced_mps2(self) -> float:
+        """How hard it may where nothing asks for more."""
+        expected_mps2 = EXPECTED_BRAKING_MPS2 if self._is_of_a_demand else math.inf
+        return min(self._gentle_mps2, expected_mps2, self._adas.emergency_braking_mps2)
 
     # Where.
 

@@ -88,7 +88,8 @@ def falling_in_mps(speed_mps: float, other: Leader, adas: Adas) -> float:
 def letting_in_mps(speed_mps: float, other: Leader, stands_in_m: float, adas: Adas) -> float:
     """Return the speed at the end of the next step with which the host lets in a vehicle that must leave a lane beside.
 
-    It falls in behind it. Where that would leave no gap even once both stand, it goes ahead: inf.
+    It falls in behind it, if it can come down comfortably to the speed that one drives at, or leaves a gap once both
+    stand. Else it goes ahead: inf.
 
     Args:
         speed_mps: of the host.
@@ -96,8 +97,11 @@ def letting_in_mps(speed_mps: float, other: Leader, stands_in_m: float, adas: Ad
         stands_in_m: how far ahead of itself that one has to stand.
         adas: limits of the host's car-following.
     """
-    gap_m = other.gap_m + stands_in_m - braking_distance_m(speed_mps, adas.comfort_braking_mps2)
-    return falling_in_mps(speed_mps, other, adas) if gap_m >= adas.standstill_gap_m + SPARE_M / 2 else math.inf
+    closing_mps, comfort_mps2 = max(speed_mps - other.speed_mps, 0.0), adas.comfort_braking_mps2
+    driving_m = other.gap_m - braking_distance_m(closing_mps, comfort_mps2)
+    standing_m = other.gap_m + stands_in_m - braking_distance_m(speed_mps, comfort_mps2)
+    has_room = max(driving_m, standing_m) >= adas.standstill_gap_m + SPARE_M / 2
+    return falling_in_mps(speed_mps, other, adas) if has_room else math.inf
 
 
 def needed_mps2(speed_mps: float, leader: Leader, adas: Adas) -> float:
