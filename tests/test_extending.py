@@ -48,9 +48,10 @@ def run(folder, *command):
     return finished.stdout
 
 
-def rail_sumo(folder, command, *more):
+def rail_sumo(folder, command, *more, workers=1):
     brief = [part for override in BRIEF for part in ("--set", override)]
-    run(folder, "-c", "from rail_sumo import cli; cli.main()", *command.split(), *brief, *more)
+    how = [*command.split(), *brief, "--workers", str(workers), *more]
+    run(folder, "-c", "from rail_sumo import cli; cli.main()", *how)
 
 
 @pytest.mark.slow
@@ -131,14 +132,14 @@ def test_the_radar_shown_is_added_to_the_observation(shown):
 @pytest.mark.slow
 def test_the_learner_shown_learns_in_workers_and_is_resumed_to_the_same_policy(shown):
     folder, (command, *_) = shown
-    rail_sumo(folder, command, "--workers", "2")
+    rail_sumo(folder, command, workers=2)
     progress = pd.read_csv(folder / "runs" / "cem" / "progress.csv")
     assert progress[["mean_return", "judge_loss", "speed_kmh"]].notna().all(axis=None)
     policy, clone = (load_file(folder / "runs" / "cem" / f"{name}.safetensors") for name in ("policy", "clone"))
     assert (policy["theta"] != clone["theta"]).any()
     again = command.replace("runs/cem", "runs/again")
-    rail_sumo(folder, again, "--workers", "1", "--set", "train.iterations=1")
-    rail_sumo(folder, again, "--workers", "1", "--resume")
+    rail_sumo(folder, again, "--set", "train.iterations=1")
+    rail_sumo(folder, again, "--resume")
     assert (load_file(folder / "runs" / "again" / "policy.safetensors")["theta"] == policy["theta"]).all()
     file = folder / "cem.py"
     file.write_text(file.read_text().replace("N_ELITE, NOISE_STD = 4, 2, 0.1", "N_ELITE, NOISE_STD = 4, 2, 0.5"))
@@ -162,7 +163,14 @@ def test_the_loss_shown_is_what_the_judge_minimises_and_the_log_tells(shown):
 def test_the_demonstrations_shown_are_learned_from(shown):
     folder, (*_, command) = shown
     run(folder, "mine.py")
-    rail_sumo(folder, f"{command} --set train.learner=bc --out runs/mine", "--set", "train.iterations=0")
+    rail_sumo(
+        folder,
+        f"{command} --set train.learner=bc --out runs/mine",
+        "--set",
+        "train.iterations=0",
+        "--set",
+        "cloning.epochs=100",
+    )
     policy = RunDirectory(folder / "runs" / "mine").policy().policy()
     assert policy(np.array([100.0] * 24 + [0.0] * 24)) == MetaAction.ACCELERATE  # all it was shown
 

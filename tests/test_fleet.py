@@ -49,11 +49,11 @@ def driver(name, world):
 
 @pytest.mark.slow
 def test_on_a_street_with_signals_driven_cars_touch_nobody_where_they_turn_across_it_either(tmp_path):
-    """Ready to brake by 3.4 in place of 2 m/s² at ways without priority, two of these 447 were hit."""
+    """When they came to ways without priority ready to brake by 3.4 m/s², and saw less there, two of 447 were hit."""
     world, contacts = with_demand("arterial"), ("--collision-output", str(tmp_path / "c.xml"))
     driven = Fleet(world, 1.0, 0, driver("rule", world), contacts)
-    driven.drive(900.0)
-    assert len(driven.inserted) > 400
+    driven.drive(500.0)
+    assert len(driven.inserted) > 200
     assert not list(ElementTree.parse(tmp_path / "c.xml").iter("collision"))
 
 
