@@ -889,14 +889,14 @@ def jumpy(seed):
 @pytest.mark.parametrize(
     ("driver", "sections", "seeds"),
     [
-        (at_random, {}, 20),
-        (lambda seed: sideways_or_faster, {}, 20),
-        (jumpy, {}, 20),
-        (at_random, {"episode": {"decision_period_s": 0.1}}, 20),
-        (jumpy, {"episode": {"decision_period_s": 0.3}}, 20),
-        (at_random, {"network": {"file": "ring5"}}, 20),
-        (at_random, {"traffic": {"routes": ["highway5"]}}, 8),  # on a road with so many each takes as long as five
-        (at_random, {"traffic": {"vehicles": 60, "lane_change_every_s": 5.0}}, 20),
+        (at_random, {}, 12),
+        (lambda seed: sideways_or_faster, {}, 12),
+        (jumpy, {}, 12),
+        (at_random, {"episode": {"decision_period_s": 0.1}}, 12),
+        (jumpy, {"episode": {"decision_period_s": 0.3}}, 12),
+        (at_random, {"network": {"file": "ring5"}}, 12),
+        (at_random, {"traffic": {"routes": ["highway5"]}}, 6),  # among so many one takes as long as five
+        (at_random, {"traffic": {"vehicles": 60, "lane_change_every_s": 5.0}}, 12),
     ],
     ids=["random", "sideways", "jumpy", "random every step", "jumpy every 0.3 s", "ring", "demand", "dense"],
 )
