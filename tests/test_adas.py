@@ -387,12 +387,13 @@ def test_the_gate_opens_where_nobody_need_brake_beyond_3_5_mps2_and_not_a_hair_b
         ("ahead", 20.0, 2 + 20),  # the time gap, 1 s
         ("ahead", 21.0, 2 + 20 - 4),  # within 4 s it opens to that
         ("ahead", 30.0, 2 + 10),  # half a second at least
-        ("ahead", 10.0, 2 + 10 + (20 - 10) ** 2 / (2 * 3.5)),  # who is ahead drives on meanwhile
+        ("ahead", 18.0, 2 + 18 + (20 - 18) ** 2 / (2 * 3.5)),  # who is ahead drives on meanwhile
+        ("ahead", 10.0, 2 + 10 + (20**2 - 10**2) / (2 * 9)),  # and emergency braking, half a second, does not begin
         ("ahead", 0.0, 2 + 20**2 / (2 * 3.5)),
         ("behind", 20.0, 2 + 10),
         ("behind", 19.0, 2 + 9.5 - 4),
         ("behind", 15.0, 2),
-        ("behind", 25.0, 2 + 10 + (25 - 20) ** 2 / (2 * 3.5)),
+        ("behind", 25.0, 2 + 12.5 + (25**2 - 20**2) / (2 * 9)),
     ],
 )
 def test_where_the_host_must_leave_its_lane_it_takes_gaps_that_nobody_has_to_brake_hard_for(which, speed_mps, least_m):

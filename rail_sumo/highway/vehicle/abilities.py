@@ -18,9 +18,6 @@ UNLIMITED = 10.0
 """Speed factor with which SUMO does not hold the host to the road's limits."""
 AS_ALLOWED = 1.00001
 """Speed factor with which SUMO's own driver drives as fast as is allowed: networks tell 80 km/h as 22.2222 m/s."""
-AEB_TIME_GAP_S = 0.5
-"""What emergency braking keeps to the vehicle ahead: less than adaptive cruise control does, which it is not to
-disturb. SUMO keeps clear of contacts as long as this is no shorter than a step."""
 GENTLE_MPS2 = 3.0
 """How hard SUMO may brake the host for who comes first, where it is slow and near the line."""
 STARTING_MPS2 = 1.0
@@ -66,7 +63,7 @@ class Abilities:
         types.setApparentDecel(HOST_TYPE, min(EXPECTED_BRAKING_MPS2, adas.emergency_braking_mps2))
         types.setImperfection(HOST_TYPE, 0.0)
         types.setMaxSpeed(HOST_TYPE, fastest_mps)
-        types.setTau(HOST_TYPE, AEB_TIME_GAP_S)
+        types.setTau(HOST_TYPE, acc.AEB_TIME_GAP_S)
         types.setMinGap(HOST_TYPE, adas.standstill_gap_m)
 
     def become(self, own: Mapping[str, str | float], *, speed_mps: float, fastest_mps: float) -> None:
@@ -170,6 +167,9 @@ class Abilities:
     def brace(self, now_mps: float, next_mps: float, leader: Leader | None) -> None:
         """Have SUMO brake as hard as it may, where it takes more than it may brake at other times.
 
+        And where its leader is so near that it would brake so at once, though adaptive cruise control need not: the
+        harder emergency braking may be, the later it begins.
+
         A vehicle of a demand brakes no harder than others expect then: SUMO's drivers keep a longer gap behind one that
         may brake harder, and where many are driven, fewer would enter and change lanes.
         """
@@ -178,9 +178,15 @@ class Abilities:
         needed_mps2 = (now_mps - next_mps) / SECONDS_PER_STEP
         if leader is not None:
             needed_mps2 = max(needed_mps2, acc.needed_mps2(now_mps, leader, self._adas))
-        if (needed_mps2 > self._unbraced_mps2) != self._braces:
+        if (needed_mps2 > self._unbraced_mps2 or self._is_near(leader, next_mps)) != self._braces:
             self._braces = not self._braces
             self._set("Decel", self._hardest_mps2)
+
+    def _is_near(self, leader: Leader | None, speed_mps: float) -> bool:
+        if leader is None or math.isfinite(self._gentle_mps2):
+            return False
+        nearest_m = acc.emergency_gap_m(speed_mps, leader.speed_mps, self._unbraced_mps2)
+        return leader.gap_m < self._adas.standstill_gap_m + nearest_m
 
     @property
     def _hardest_mps2(self) -> float:

@@ -21,6 +21,10 @@ SPARE_M, SPARE_S = 1.0, 0.1
 """How much farther, and how much longer in time, the host falls back behind a vehicle in a lane beside than behind one
 in its own: it would come to a gap that is just long enough too slowly, and that would open and close again."""
 
+AEB_TIME_GAP_S = 0.5
+"""What emergency braking keeps to the vehicle ahead: less than adaptive cruise control does, which it is not to
+disturb. SUMO keeps clear of contacts as long as this is no shorter than a step."""
+
 FALLS_BACK_S = 4.0
 """Within about what time that gap is opened: behind one that has cut in it takes 15 s, and a queue may be nearer."""
 
@@ -108,6 +112,14 @@ def needed_mps2(speed_mps: float, leader: Leader, adas: Adas) -> float:
     """Return the even braking that keeps the host clear of its leader; inf where nothing does."""
     room_m = leader.gap_m - adas.standstill_gap_m
     return _needed_mps2(speed_mps, room_m, leader.speed_mps, max(-leader.acceleration_mps2, 0.0), adas.time_gap_s)
+
+
+def emergency_gap_m(speed_mps: float, leader_mps: float, braking_mps2: float) -> float:
+    """Return the gap beyond the standstill gap below which emergency braking of this strength begins.
+
+    T v + (v^2 - w^2) / (2 b) behind a leader of speed w (Krauss, 1998): it stays clear even if that one brakes as hard.
+    """
+    return AEB_TIME_GAP_S * speed_mps + (speed_mps**2 - leader_mps**2) / (2 * braking_mps2)
 
 
 @compiled("float64(float64)")

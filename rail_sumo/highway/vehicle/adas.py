@@ -259,16 +259,18 @@ class Adas:
     def _safe(self, host: HostState, side: Side, gap: Gaps) -> bool:
         """The gate: neither the host behind its new leader nor the new follower needs to brake hard.
 
-        Where the host must leave its lane, it takes shorter gaps: there it counts on who is ahead to drive on, and a
-        gap may open, within 4 s to what the gate asks for.
+        Where the host must leave its lane, it takes shorter gaps: there it counts on who is ahead to drive on, unless
+        that would set off emergency braking, and a gap may open, within 4 s to what the gate asks for.
         """
         limits, speed_mps = self._config, host.speed_mps
         ahead_mps, behind_mps = gap.ahead_speed_mps, gap.behind_speed_mps
         hosts_own = min(GATE_BRAKING_MPS2, limits.emergency_braking_mps2)
-        must = side == lane_ends.way_on(host)
-        ahead = _gap_needed(speed_mps, ahead_mps, limits.time_gap_s, hosts_own, drives_on=must)
-        behind = _gap_needed(behind_mps, speed_mps, FOLLOWER_TIME_GAP_S, GATE_BRAKING_MPS2, drives_on=must)
-        if must:
+        ahead = _gap_needed(speed_mps, ahead_mps, limits.time_gap_s, hosts_own)
+        behind = _gap_needed(behind_mps, speed_mps, FOLLOWER_TIME_GAP_S, GATE_BRAKING_MPS2)
+        if side == lane_ends.way_on(host):
+            hardest = limits.emergency_braking_mps2
+            ahead = _gap_where_it_must(speed_mps, ahead_mps, limits.time_gap_s, hosts_own, hardest)
+            behind = _gap_where_it_must(behind_mps, speed_mps, FOLLOWER_TIME_GAP_S, GATE_BRAKING_MPS2, hardest)
             ahead = max(ahead - acc.FALLS_BACK_S * max(ahead_mps - speed_mps, 0.0), OPENING_TIME_GAP_S * speed_mps)
             behind = max(behind - acc.FALLS_BACK_S * max(speed_mps - behind_mps, 0.0), 0.0)
         return gap.ahead_m >= limits.standstill_gap_m + ahead and gap.behind_m >= limits.standstill_gap_m + behind
@@ -359,18 +361,26 @@ def _across(host: HostState, side: Side) -> float:
     return host.to_left_m if side == LEFT else host.to_right_m
 
 
-def _gap_needed(
-    speed_mps: float, leader_mps: float, time_gap_s: float, braking_mps2: float, *, drives_on: bool
-) -> float:
+def _gap_needed(speed_mps: float, leader_mps: float, time_gap_s: float, braking_mps2: float) -> float:
     """Return the gap that holds the time gap and the distance in which a vehicle brakes to its leader's speed.
 
     T w + (v^2 - w^2) / (2 b) behind a leader of speed w, as if it did not move on meanwhile; T v behind a faster one.
-    If it drives on, T w + (v - w)^2 / (2 b): no harder than b, as MOBIL's safety criterion has it (Kesting, Treiber &
-    Helbing, 2007).
     """
     slower = min(speed_mps, leader_mps)
-    squared = (speed_mps - slower) ** 2 if drives_on else speed_mps**2 - slower**2
-    return time_gap_s * slower + squared / (2 * braking_mps2)
+    return time_gap_s * slower + (speed_mps**2 - slower**2) / (2 * braking_mps2)
+
+
+def _gap_where_it_must(
+    speed_mps: float, leader_mps: float, time_gap_s: float, braking_mps2: float, hardest_mps2: float
+) -> float:
+    """Return the gap where the leader drives on meanwhile: T w + (v - w)^2 / (2 b); T v behind a faster one.
+
+    No harder than b, as MOBIL's safety criterion has it (Kesting, Treiber & Helbing, 2007); and so far that emergency
+    braking does not begin.
+    """
+    slower = min(speed_mps, leader_mps)
+    drives_on = time_gap_s * slower + (speed_mps - slower) ** 2 / (2 * braking_mps2)
+    return max(drives_on, acc.emergency_gap_m(speed_mps, slower, hardest_mps2))
 
 
 class HandsOff:
