@@ -1,6 +1,6 @@
 """The learners: what each does from a checkpoint to its next iteration."""
 
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
 from typing import TYPE_CHECKING, Any
@@ -34,8 +34,9 @@ class Iteration:
     """All else that the next iteration depends on: numpy arrays of numbers, by names of the learner's own. The
     checkpoint that a training goes on from has them as its `memory`; at the clone that is empty."""
     driven: list[Trajectory]
+    """The rollouts whose speed and overtakes are told of this iteration. What others cost is counted all the same."""
     figures: Row
-    """What the learner alone knows: some of the columns of `progress.csv`."""
+    """What the learner alone knows: some of the columns of `progress.csv`, `LEARNERS_COLUMNS`."""
 
 
 class Practice:
@@ -45,6 +46,8 @@ class Practice:
         self.run = run
         self._pool = pool
         self._world = run.config.practice(run.config.train.horizon_s)
+        self.steps = 0
+        """How many SUMO steps it has driven."""
 
     def pairs(
         self, learner: PolicyParameters, perturbations: Floats, iteration: int, *, shared_traffic: bool = True
@@ -62,10 +65,15 @@ class Practice:
     def drive(
         self, policies: Sequence[PolicyParameters], iteration: int, *, traffic: Sequence[int] | None = None
     ) -> list[Trajectory]:
-        """Drive one rollout of each policy, each on traffic of its own, or on the traffic of these numbers."""
+        """Drive one rollout of each policy, each on traffic of its own, or on the traffic of these numbers.
+
+        A number is the same traffic in every call of one iteration. Without any they are 0 to n - 1.
+        """
         numbers = range(len(policies)) if traffic is None else traffic
         tasks = [self._task(policy, iteration, number) for policy, number in zip(policies, numbers, strict=True)]
-        return list(self._pool.map(rollout.practise, tasks))
+        driven = list(self._pool.map(rollout.practise, tasks))
+        self._count(driven)
+        return driven
 
     def sampled(self, learner: PolicyParameters, n_rollouts: int, iteration: int) -> list[Trajectory]:
         """Drive by actions sampled with the policy's probabilities."""
@@ -85,7 +93,12 @@ class Practice:
             iteration: which one it is.
         """
         tasks = [replace(self._task(learner, iteration, i), adviser=adviser) for i in range(n_rollouts)]
-        return list(self._pool.map(rollout.practise_advised, tasks))
+        advised = list(self._pool.map(rollout.practise_advised, tasks))
+        self._count(driven for driven, _ in advised)
+        return advised
+
+    def _count(self, driven: Iterable[Trajectory]) -> None:
+        self.steps += sum(len(trajectory.lane_changing) for trajectory in driven)
 
     def _task(self, driver: PolicyParameters, iteration: int, number: int) -> Task:
         return Task(driver, self._world, traffic_seed(self.run.seed, TRAINING, iteration, number))

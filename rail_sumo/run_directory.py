@@ -44,15 +44,17 @@ PROGRESS_COLUMNS = (
     "iteration",
     "environment_steps",  # SUMO steps driven since the start
     "seconds",  # at work since the start, interruptions left out
-    "mean_return",  # of this iteration's rollouts: the reward that the learner follows; the next columns too are theirs
+    "mean_return",  # of this iteration's rollouts: the reward that the learner follows
     "judge_loss",
     "judge_expert_mean",
     "judge_learner_mean",
-    "speed_kmh",
+    "speed_kmh",  # in this iteration's rollouts, as the next two
     "overtakes",  # per rollout
     "lane_changes",  # per rollout
     "step_norm",  # how far theta moved
 )
+LEARNERS_COLUMNS = ("mean_return", "judge_loss", "judge_expert_mean", "judge_learner_mean", "step_norm")
+"""Those of them that a learner tells; the others are measured."""
 
 CHECKSUM = "sha256"
 """The key, in what a file tells of itself, of the SHA-256 of all else in it."""

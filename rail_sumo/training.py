@@ -19,7 +19,7 @@ from rail_sumo.learners import Iteration, Practice, learner_of
 from rail_sumo.policy import ARGMAX, LARGEST, SAMPLED, PolicyParameters, Shape, Whitening
 from rail_sumo.records import Trajectory
 from rail_sumo.rollout import SILENT, Observer, WorkerCount
-from rail_sumo.run_directory import PROGRESS_COLUMNS, Checkpoint, Row, RunDirectory, require_new
+from rail_sumo.run_directory import LEARNERS_COLUMNS, Checkpoint, RunDirectory, require_new
 
 ROUNDING = 1e-3
 """How far a number may go beyond its bounds, since files hold 32 bits."""
@@ -58,7 +58,9 @@ def learn(
         checkpoint = run.checkpoint()
         observer.start(config.train.learner, config.train.n_iterations, done=checkpoint.iteration)
         started = time.perf_counter() - (checkpoint.progress[-1]["seconds"] if checkpoint.progress else 0.0)
-        iterations = learner_of(config).iterate(Practice(run, pool), checkpoint, demonstrations)
+        practice = Practice(run, pool)
+        steps_before = checkpoint.progress[-1]["environment_steps"] if checkpoint.progress else 0
+        iterations = learner_of(config).iterate(practice, checkpoint, demonstrations)
         if not isinstance(iterations, Iterable):
             raise InputError(
                 f"learner '{config.train.learner}' returns {iterations!r:.40}; it has to yield an `Iteration` of "
@@ -66,7 +68,13 @@ def learn(
             )
         for iteration in itertools.islice(iterations, config.train.n_iterations - checkpoint.iteration):
             _require_whole(iteration, checkpoint, config.train.learner)
-            row = _progress(iteration, checkpoint.progress, time.perf_counter() - started)
+            row = {
+                "iteration": checkpoint.iteration + 1,
+                "environment_steps": steps_before + practice.steps,
+                "seconds": round(time.perf_counter() - started, 3),
+                **iteration.figures,
+                **metrics.means(iteration.driven),
+            }
             checkpoint = Checkpoint(iteration.learned, iteration.memory, (*checkpoint.progress, row))
             run.save(checkpoint)
             observer.advance(row)
@@ -223,23 +231,15 @@ def _require_whole(iteration: object, before: Checkpoint, learner: str) -> None:
             raise InputError(
                 f"{told}: memory '{name}' is {value!r:.40}; memory is numpy arrays of numbers, such as np.array(3)"
             )
-    unknown = sorted(iteration.figures.keys() - set(PROGRESS_COLUMNS))
+    unknown = sorted(iteration.figures.keys() - set(LEARNERS_COLUMNS))
     if unknown:
-        raise InputError(f"'{unknown[0]}' is no column of progress.csv; figures may be: {', '.join(PROGRESS_COLUMNS)}")
+        raise InputError(
+            f"'{unknown[0]}' is no column of progress.csv that a learner tells; figures may be: "
+            f"{', '.join(LEARNERS_COLUMNS)}"
+        )
     for name, figure in iteration.figures.items():
         if not isinstance(figure, int | float | np.integer | np.floating):
             raise InputError(f"{told}: figure '{name}' is {figure!r:.40}; figures are numbers")
-
-
-def _progress(iteration: Iteration, before: tuple[Row, ...], seconds: float) -> Row:
-    steps_before = before[-1]["environment_steps"] if before else 0
-    return {
-        "iteration": len(before) + 1,
-        "environment_steps": steps_before + sum(len(trajectory.lane_changing) for trajectory in iteration.driven),
-        "seconds": round(seconds, 3),
-        **iteration.figures,
-        **metrics.means(iteration.driven),
-    }
 
 
 def demonstrations_of(config: Config) -> Demonstrations:

@@ -949,6 +949,17 @@ def has_a_figure_of_its_own(practice, checkpoint, demonstrations):
     for iteration in with_theta(lambda theta: theta)(practice, checkpoint, demonstrations):
         yield replace(iteration, figures={"my_loss": 1.0})
 
+def counts_for_itself(practice, checkpoint, demonstrations):
+    for iteration in with_theta(lambda theta: theta)(practice, checkpoint, demonstrations):
+        yield replace(iteration, figures={"environment_steps": 7})
+
+def looks_before(practice, checkpoint, demonstrations):
+    for number in range(checkpoint.iteration + 1, 4):
+        practice.advised(checkpoint.learned, "rule", 1, number)
+        practice.drive([checkpoint.learned] * 2, number)
+        yield Iteration(checkpoint.learned, {}, practice.drive([checkpoint.learned], number), {})
+
+LOOKS_BEFORE = Learner(looks_before, iterations=3, samples=False)
 
 def remembers(memory):
     def iterate(practice, checkpoint, demonstrations):
@@ -992,9 +1003,11 @@ HALF, PLAIN_NUMBER, WORDS, WORD_FOR_A_FIGURE = (
 
 TOO_SHORT, NOT_FINITE = with_theta(lambda theta: theta[:-1]), with_theta(lambda theta: theta / 0.0)
 BEYOND = with_theta(lambda theta: theta + 1e300)
-GIVES_UP, SAYS_SOMETHING_ELSE, HAS_A_FIGURE_OF_ITS_OWN, TOO_SHORT, NOT_FINITE, BEYOND = (
+GIVES_UP, SAYS_SOMETHING_ELSE, HAS_A_FIGURE_OF_ITS_OWN, COUNTS_FOR_ITSELF, TOO_SHORT, NOT_FINITE, BEYOND = (
     Learner(one, iterations=2, samples=False)
-    for one in (gives_up, says_something_else, has_a_figure_of_its_own, TOO_SHORT, NOT_FINITE, BEYOND)
+    for one in (
+        gives_up, says_something_else, has_a_figure_of_its_own, counts_for_itself, TOO_SHORT, NOT_FINITE, BEYOND
+    )
 )
 """
 
@@ -1009,9 +1022,24 @@ def test_a_learner_that_gives_up_or_says_something_else_is_told(small, driven, t
     other = small.changed(train={"learner": "own_learners:SAYS_SOMETHING_ELSE"})
     with pytest.raises(InputError, match=r"^learner '.*:SAYS_SOMETHING_ELSE' yields a dict; it has to yield an `Iter"):
         training.learn(other, tmp_path / "other", seed=1)
-    figure = small.changed(train={"learner": "own_learners:HAS_A_FIGURE_OF_ITS_OWN"})
-    with pytest.raises(InputError, match=r"^'my_loss' is no column of progress.csv; figures may be: iteration, "):
-        training.learn(figure, tmp_path / "figure", seed=1)
+    for name, figure in (("HAS_A_FIGURE_OF_ITS_OWN", "my_loss"), ("COUNTS_FOR_ITSELF", "environment_steps")):
+        world = small.changed(train={"learner": f"own_learners:{name}"})
+        told = rf"^'{figure}' is no column of progress.csv that a learner tells; figures may be: mean_return, "
+        with pytest.raises(InputError, match=told):
+            training.learn(world, tmp_path / name, seed=1)
+
+
+def test_all_that_a_learner_drives_is_counted_whatever_it_tells_of_and_after_an_interruption(
+    small, driven, tmp_path, monkeypatch
+):
+    (tmp_path / "own_learners.py").write_text(OWN_LEARNERS)
+    monkeypatch.syspath_prepend(tmp_path)
+    world = small.changed(train={"learner": "own_learners:LOOKS_BEFORE", "iterations": 2})
+    training.learn(world, tmp_path / "run", seed=1)
+    training.learn(world.changed(train={"iterations": 3}), tmp_path / "run", seed=1, resume=True)
+    steps = pd.read_csv(tmp_path / "run" / PROGRESS)["environment_steps"]
+    a_rollout = len(drive(rollout.Task("rule", world, 0)).lane_changing)
+    assert steps.tolist() == [4 * a_rollout, 8 * a_rollout, 12 * a_rollout]
 
 
 @pytest.mark.filterwarnings("ignore:divide by zero")
