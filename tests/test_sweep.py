@@ -223,7 +223,7 @@ def made_up(values):
     return report.typed(rows, shares.TRAFFIC_COLUMNS)
 
 
-@pytest.mark.parametrize(("unfinished", "told"), [(100, False), (115, False), (121, True)])
+@pytest.mark.parametrize(("unfinished", "told"), [(100, False), (110, False), (121, True)])
 def test_a_road_that_fills_up_in_the_period_is_told_of_whoever_drives(unfinished, told):
     """From 100 vehicles on the road at the beginning; as they are it stays at that."""
     counts = {"vehicles": "all", "setting": "", "inserted": 60}
@@ -252,16 +252,19 @@ def test_a_run_that_breaks_down_where_others_do_not_is_told_of():
 
 
 def test_seeds_that_make_no_difference_are_told_of():
-    about = {"vehicles": "all", "setting": ""}
-    table = pd.DataFrame([
-        *(about | {"driver": "sumo", "share": 0.0, "seed": k, "speed_kmh": 40.0 + k, "vehkm": 9.0} for k in range(3)),
-        *(about | {"driver": "rule", "share": 0.5, "seed": k, "speed_kmh": 41.0, "vehkm": 9.0 + k} for k in range(3)),
-        *(about | {"driver": "rule", "share": 1.0, "seed": k, "speed_kmh": 42.0, "vehkm": 9.0} for k in range(3)),
-        about | {"driver": "acc", "share": 1.0, "seed": 0, "speed_kmh": 42.0, "vehkm": 9.0},  # one run is no interval
-    ])  # fmt: skip
-    (note,) = cautions.alike(table)
-    assert "every seed drove the same: rule at 100%: that is one run" in note
-    assert not list(cautions.alike(table[table["share"] < 1.0]))
+    rows = [
+        *(("sumo", 0.0, k, 40.0 + k, 900.0) for k in range(3)),
+        *(("rule", 0.5, k, 41.0, 900.0 + k) for k in range(3)),
+        *(("rule", 1.0, k, 42.0, 900.0) for k in range(3)),
+        *(("acc", 0.5, k, 42.0 + k / 500, 900.0) for k in range(3)),
+        ("acc", 1.0, 0, 42.0, 900.0),  # one run is no interval
+    ]
+    table = pd.DataFrame(rows, columns=["driver", "share", "seed", "speed_kmh", "flow_vehph"])
+    table = table.assign(vehicles="all", setting="")
+    same, nearly = cautions.alike(table)
+    assert same.startswith("every seed drove the same: rule at 100%: that is one run")
+    assert "less than 0.01 % in speed and flow: acc at 50%: that is nearly one run" in nearly
+    assert not list(cautions.alike(table[(table["share"] < 1.0) & (table["driver"] != "acc")]))
 
 
 def test_a_road_that_locks_with_some_seeds_is_told_of():
