@@ -912,7 +912,7 @@ def test_whatever_is_decided_the_host_touches_nobody_and_never_brakes_beyond_9_m
             assert touching(scene) == [], (seed, scene.time_s)
         assert -np.diff(driven.speed_mps).min() / 0.1 <= 9.0 + 1e-6, seed
         changes += driven.lane_changes
-    assert changes > 50
+    assert changes > 2.5 * seeds
 
 
 def test_what_came_of_each_decision_is_noted(make):
