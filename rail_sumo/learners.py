@@ -34,7 +34,7 @@ class Iteration:
     """All else that the next iteration depends on: numpy arrays of numbers, by names of the learner's own. The
     checkpoint that a training goes on from has them as its `memory`; at the clone that is empty."""
     driven: list[Trajectory]
-    """The rollouts whose speed and overtakes are told of this iteration. What others cost is counted all the same."""
+    """The rollouts that the speed, overtakes and lane changes of this row are of. The steps of all others count too."""
     figures: Row
     """What the learner alone knows: some of the columns of `progress.csv`, `LEARNERS_COLUMNS`."""
 

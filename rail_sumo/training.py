@@ -57,9 +57,9 @@ def learn(
 
         checkpoint = run.checkpoint()
         observer.start(config.train.learner, config.train.n_iterations, done=checkpoint.iteration)
-        started = time.perf_counter() - (checkpoint.progress[-1]["seconds"] if checkpoint.progress else 0.0)
+        before = checkpoint.progress[-1] if checkpoint.progress else {"environment_steps": 0, "seconds": 0.0}
+        started = time.perf_counter() - before["seconds"]
         practice = Practice(run, pool)
-        steps_before = checkpoint.progress[-1]["environment_steps"] if checkpoint.progress else 0
         iterations = learner_of(config).iterate(practice, checkpoint, demonstrations)
         if not isinstance(iterations, Iterable):
             raise InputError(
@@ -70,7 +70,7 @@ def learn(
             _require_whole(iteration, checkpoint, config.train.learner)
             row = {
                 "iteration": checkpoint.iteration + 1,
-                "environment_steps": steps_before + practice.steps,
+                "environment_steps": before["environment_steps"] + practice.steps,
                 "seconds": round(time.perf_counter() - started, 3),
                 **iteration.figures,
                 **metrics.means(iteration.driven),

@@ -163,14 +163,8 @@ def test_the_loss_shown_is_what_the_judge_minimises_and_the_log_tells(shown):
 def test_the_demonstrations_shown_are_learned_from(shown):
     folder, (*_, command) = shown
     run(folder, "mine.py")
-    rail_sumo(
-        folder,
-        f"{command} --set train.learner=bc --out runs/mine",
-        "--set",
-        "train.iterations=0",
-        "--set",
-        "cloning.epochs=100",
-    )
+    more = ["--set", "train.iterations=0", "--set", "cloning.epochs=100"]
+    rail_sumo(folder, f"{command} --set train.learner=bc --out runs/mine", *more)
     policy = RunDirectory(folder / "runs" / "mine").policy().policy()
     assert policy(np.array([100.0] * 24 + [0.0] * 24)) == MetaAction.ACCELERATE  # all it was shown
 

@@ -202,15 +202,18 @@ def breakdowns(table: pd.DataFrame) -> Iterator[str]:
 
 
 def alike(table: pd.DataFrame) -> Iterator[str]:
-    """Tell where seeds make no difference or hardly any, as where nothing is drawn: an interval tells nothing there."""
+    """Tell where seeds make no difference or hardly any, as where nothing is drawn: an interval tells little there."""
     runs = shares.of_all_vehicles(table)
     measured = [name for name in shares.MEASURED if name in runs]
     same, nearly = [], []
     for arm, of_arm in runs.groupby(shares.ARM, sort=False):
-        of_run = of_arm[["speed_kmh", "flow_vehph"]]
-        if len(of_arm) > 1 and len(of_arm[measured].drop_duplicates()) == 1:
+        if len(of_arm) == 1:
+            continue
+        traffic_of_run = of_arm[["speed_kmh", "flow_vehph"]]
+        spread = traffic_of_run.max() - traffic_of_run.min()
+        if len(of_arm[measured].drop_duplicates()) == 1:
             same.append(shares.called(*arm))
-        elif len(of_arm) > 1 and (of_run.max() - of_run.min() <= ALIKE * of_run.mean()).all():
+        elif (spread <= ALIKE * traffic_of_run.mean()).all():
             nearly.append(shares.called(*arm))
     vary = "vary the demand, for example by --set 'traffic.options=[\"random-depart-offset=5\"]'"
     if same:

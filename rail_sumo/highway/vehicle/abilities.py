@@ -183,6 +183,7 @@ class Abilities:
             self._set("Decel", self._hardest_mps2)
 
     def _is_near(self, leader: Leader | None, speed_mps: float) -> bool:
+        """Whether its leader is nearer than where SUMO begins to brake for it, unless it is to be gentle."""
         if leader is None or math.isfinite(self._gentle_mps2):
             return False
         nearest_m = acc.emergency_gap_m(speed_mps, leader.speed_mps, self._unbraced_mps2)

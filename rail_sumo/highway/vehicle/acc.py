@@ -21,12 +21,12 @@ SPARE_M, SPARE_S = 1.0, 0.1
 """How much farther, and how much longer in time, the host falls back behind a vehicle in a lane beside than behind one
 in its own: it would come to a gap that is just long enough too slowly, and that would open and close again."""
 
+FALLS_BACK_S = 4.0
+"""Within about what time that gap is opened: behind one that has cut in it takes 15 s, and a queue may be nearer."""
+
 AEB_TIME_GAP_S = 0.5
 """What emergency braking keeps to the vehicle ahead: less than adaptive cruise control does, which it is not to
 disturb. SUMO keeps clear of contacts as long as this is no shorter than a step."""
-
-FALLS_BACK_S = 4.0
-"""Within about what time that gap is opened: behind one that has cut in it takes 15 s, and a queue may be nearer."""
 
 # ISO 15622: adaptive cruise control brakes no harder than this at these speeds, and in proportion between them.
 SLOW_MPS, FAST_MPS = 5.0, 20.0

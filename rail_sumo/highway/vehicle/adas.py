@@ -264,11 +264,12 @@ class Adas:
         """
         limits, speed_mps = self._config, host.speed_mps
         ahead_mps, behind_mps = gap.ahead_speed_mps, gap.behind_speed_mps
-        hosts_own = min(GATE_BRAKING_MPS2, limits.emergency_braking_mps2)
-        ahead = _gap_needed(speed_mps, ahead_mps, limits.time_gap_s, hosts_own)
-        behind = _gap_needed(behind_mps, speed_mps, FOLLOWER_TIME_GAP_S, GATE_BRAKING_MPS2)
-        if side == lane_ends.way_on(host):
-            hardest = limits.emergency_braking_mps2
+        hardest = limits.emergency_braking_mps2
+        hosts_own = min(GATE_BRAKING_MPS2, hardest)
+        if side != lane_ends.way_on(host):
+            ahead = _gap_needed(speed_mps, ahead_mps, limits.time_gap_s, hosts_own)
+            behind = _gap_needed(behind_mps, speed_mps, FOLLOWER_TIME_GAP_S, GATE_BRAKING_MPS2)
+        else:
             ahead = _gap_where_it_must(speed_mps, ahead_mps, limits.time_gap_s, hosts_own, hardest)
             behind = _gap_where_it_must(behind_mps, speed_mps, FOLLOWER_TIME_GAP_S, GATE_BRAKING_MPS2, hardest)
             ahead = max(ahead - acc.FALLS_BACK_S * max(ahead_mps - speed_mps, 0.0), OPENING_TIME_GAP_S * speed_mps)
