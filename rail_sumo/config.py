@@ -494,7 +494,9 @@ class Expert(_Section):
         return self
 
 
-OF_LEARNING = ("policy", "cloning", "search", "judge", "rail", "gail", "dagger", "ars", "train", "expert")
+OF_LEARNERS = ("cloning", "search", "judge", "rail", "gail", "dagger", "ars")
+"""Sections of the configuration that one learner reads and another does not."""
+OF_LEARNING = ("policy", *OF_LEARNERS, "train", "expert")
 """Sections of the configuration that are not about the world."""
 
 

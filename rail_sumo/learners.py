@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rail_sumo import drivers, registry, rollout
-from rail_sumo.config import Config
+from rail_sumo.config import OF_LEARNERS, Config
 from rail_sumo.highway.reward import total_reward
 from rail_sumo.imitation.demonstrations import Demonstrations
 from rail_sumo.policy import SAMPLED, PolicyParameters
@@ -216,14 +216,23 @@ class Learner:
     compared_with_clone: bool = True
     """Whether `run.train` also evaluates the clone that it started from."""
     asks_the_expert: bool = False
+    reads: tuple[str, ...] = OF_LEARNERS
+    """Which of the configuration's sections for learners it reads; keys of others are without effect on it."""
 
 
 LEARNERS = {
-    "rail": Learner(_rail, iterations=160, samples=False),
-    "gail": Learner(_gail, iterations=160),
-    "dagger": Learner(_dagger, iterations=20, asks_the_expert=True),
-    "bc": Learner(_cloning, iterations=0, compared_with_clone=False),
-    "ars": Learner(_ars, iterations=160, samples=False, reads_demonstrations=False, compared_with_clone=False),
+    "rail": Learner(_rail, iterations=160, samples=False, reads=("cloning", "search", "judge", "rail")),
+    "gail": Learner(_gail, iterations=160, reads=("cloning", "judge", "gail")),
+    "dagger": Learner(_dagger, iterations=20, asks_the_expert=True, reads=("cloning", "dagger")),
+    "bc": Learner(_cloning, iterations=0, compared_with_clone=False, reads=("cloning",)),
+    "ars": Learner(
+        _ars,
+        iterations=160,
+        samples=False,
+        reads_demonstrations=False,
+        compared_with_clone=False,
+        reads=("search", "ars"),
+    ),
 }
 """By `train.learner`."""
 

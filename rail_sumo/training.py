@@ -9,7 +9,7 @@ from pathlib import Path
 import numpy as np
 
 from rail_sumo import assets, drivers, registry, rollout
-from rail_sumo.config import Config
+from rail_sumo.config import OF_LEARNERS, Config
 from rail_sumo.errors import InputError
 from rail_sumo.highway import metrics, varied
 from rail_sumo.highway.network import demand
@@ -49,7 +49,7 @@ def learn(
     inputs = inputs_of(config)
     with rollout.workers(workers) as pool:  # before the run's folder is there: Ray may be missing
         if run is None:
-            for note in (*doubts(config, demonstrations), *other_expert(config)):
+            for note in (*unread(config), *doubts(config, demonstrations), *other_expert(config)):
                 observer.note(note)
             run = RunDirectory.create(out, config, seed, inputs, _start(config, demonstrations, seed))
         else:
@@ -84,6 +84,14 @@ def learn(
                 f"{config.train.n_iterations} iterations"
             )
     return run
+
+
+def unread(config: Config) -> Iterator[str]:
+    """Tell which keys have a value of their own in sections that the learner does not read."""
+    usual, others = Config().flat(), set(OF_LEARNERS) - set(learner_of(config).reads)
+    idle = [key for key, value in config.flat().items() if key.partition(".")[0] in others and value != usual[key]]
+    if idle:
+        yield f"{', '.join(idle)}: without effect on learner '{config.train.learner}'"
 
 
 def doubts(config: Config, demonstrations: Demonstrations) -> Iterator[str]:

@@ -305,14 +305,15 @@ def test_a_sweep_and_a_study_show_their_tables_and_figures(tmp_path):
 
 
 def test_what_is_no_folder_of_ours_or_is_damaged_is_told_in_one_line(tmp_path, rail_sumo):
-    empty, damaged = tmp_path / "empty", tmp_path / "damaged"
-    empty.mkdir()
-    damaged.mkdir()
+    empty, damaged, begun = (tmp_path / name for name in ("empty", "damaged", "begun"))
+    for folder in (empty, damaged, begun / "cells"):
+        folder.mkdir(parents=True)
     for name in ("episodes.parquet", "summary.parquet"):
         (damaged / name).write_bytes(b"PAR1 and no more")
     for words, says in {
         "report nowhere": "'nowhere' is no folder; name one that train, eval, sweep or reproduce has written",
         "report empty": "'empty' is no run, evaluation, sweep or study: it has none of config.toml, episodes.parquet",
+        "report begun": "'begun' has no tables yet, only what is finished of a sweep or study; its command writes them",
         "report damaged": "'damaged/episodes.parquet' is damaged",
         "report damaged --out page.pdf": "a report is a page, FILE.html; got 'page.pdf'",
     }.items():

@@ -808,6 +808,20 @@ def test_demonstrations_that_do_not_tell_what_was_open_are_told_to_who_clones_th
     assert training.UNTOLD.endswith("too seldom; tell there what was open, or set policy.masked=false")
 
 
+def test_keys_that_a_learner_does_not_read_are_told_before_it_learns(small, driven, tmp_path):
+    notes = {}
+    for learner in ("bc", "rail"):
+        notes[learner] = Notes()
+        keys = {"judge": {"minibatches": 3}, "cloning": {"epochs": 1}, "train": {"learner": learner, "iterations": 0}}
+        world = small.changed(**keys)
+        training.learn(world, tmp_path / learner, seed=1, observer=notes[learner])
+    unread = {}
+    for learner, said in notes.items():
+        (line,) = (line for line in said.told if line.endswith(f": without effect on learner '{learner}'"))
+        unread[learner] = {key.partition(".")[0] for key in line.partition(":")[0].split(", ")}
+    assert unread == {"bc": {"search", "judge", "gail", "dagger"}, "rail": {"gail", "dagger"}}
+
+
 def test_demonstrations_of_another_road_are_told_to_who_learns_from_them(small, driven, tmp_path):
     file = tmp_path / "told.parquet"
     features = run.feature_names(small.lidar, small.observation)
