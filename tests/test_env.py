@@ -895,7 +895,7 @@ def jumpy(seed):
         (at_random, {"episode": {"decision_period_s": 0.1}}, 12),
         (jumpy, {"episode": {"decision_period_s": 0.3}}, 12),
         (at_random, {"network": {"file": "ring5"}}, 12),
-        (at_random, {"traffic": {"routes": ["highway5"]}}, 6),  # among so many one takes as long as five
+        (at_random, {"traffic": {"routes": ["highway5"]}}, 4),  # among so many one takes as long as five
         (at_random, {"traffic": {"vehicles": 60, "lane_change_every_s": 5.0}}, 12),
     ],
     ids=["random", "sideways", "jumpy", "random every step", "jumpy every 0.3 s", "ring", "demand", "dense"],

@@ -4,8 +4,9 @@ import numpy as np
 import pytest
 from scipy import stats
 
-from rail_sumo import config_file, run
+from rail_sumo import config_file, run, training
 from rail_sumo.imitation.discriminator import Discriminator
+from rail_sumo.policy import ARGMAX
 
 pytestmark = pytest.mark.xdist_group("learning")  # `by_its_judge` is trained once
 
@@ -22,7 +23,10 @@ SHORT = (
 
 def gains_kmh(folder, *further):
     """Train, and return the gain in speed on the clone in every held-out episode."""
-    episodes, *_ = run.train(config_file.load(None, [*SHORT, *further]), folder, seed=0, workers=2)
+    config = config_file.load(None, [*SHORT, *further])
+    learned = training.learn(config, folder, seed=0, workers=2)
+    who = {"rail": learned.policy(), "clone, argmax": learned.clone.acting(ARGMAX)}
+    episodes, *_ = run.evaluate(who, config, episodes=config.train.evaluation_episodes, seed=0, workers=2)
     speeds = episodes.pivot(index="seed", columns="policy", values="speed_kmh")
     return (speeds["rail"] - speeds["clone, argmax"]).to_numpy()
 

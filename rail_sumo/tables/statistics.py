@@ -19,7 +19,7 @@ from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike
-from scipy import stats
+from scipy import special
 
 from rail_sumo.records import Floats
 
@@ -100,6 +100,8 @@ def share(scores: ArrayLike) -> Estimate:
     happened = np.asarray(scores) != 0
     if not happened.size:
         return Estimate(math.nan, math.nan, math.nan)
+    from scipy import stats  # takes a second to import, and most commands need no share
+
     found = stats.binomtest(int(happened.sum()), happened.size)
     low, high = found.proportion_ci(CONFIDENCE, method="wilson")
     return Estimate(found.statistic, float(low), float(high))
@@ -131,4 +133,4 @@ def _around(value: float, deviating: Floats) -> Estimate:
 
 def _quantile(n: int) -> float:
     """Return how many standard errors the interval of a mean of so many units reaches: Student's t."""
-    return float(stats.t.ppf((1 + CONFIDENCE) / 2, n - 1))
+    return float(special.stdtrit(n - 1, (1 + CONFIDENCE) / 2))
