@@ -23,6 +23,7 @@ Holding = Literal[
     "right of way",
     "lane end",
     "gap beside",
+    "vehicle joining",
     "vehicle across",
     "SUMO",
 ]

@@ -229,6 +229,20 @@ def test_past_a_lorry_that_waits_within_a_crossing_the_speed_follows_the_lorry(t
     assert not trajectory.collisions + trajectory.struck
 
 
+def test_where_two_lanes_become_one_the_speed_follows_who_goes_first(tmp_path):
+    network, demand = Path(__file__).with_name("zipper.net.xml"), tmp_path / "pairs.rou.xml"
+    pair = '<vehicle id="{0}" depart="{1}" departSpeed="max"><route edges="{0} both one out"/></vehicle>'
+    demand.write_text(f"<routes>{pair.format('right', 0.0)}{pair.format('left', 8.0)}</routes>")
+    traffic = {"routes": (str(demand),), "warm_up_s": 0.0, "host": "left"}
+    film, trajectory, _ = filmed(on(str(network), traffic=traffic, episode={"duration_s": 60.0}), "keep")
+    held = np.array([HOLDINGS[k] for k in film.driven.holding])
+    assert (held == "vehicle joining").sum() > 5
+    brakes = np.diff(trajectory.speed_mps, prepend=trajectory.speed_mps[0]) < -0.05
+    assert brakes.any()
+    assert set(held[brakes]) <= {"vehicle joining", "vehicle ahead"}
+    assert np.diff(trajectory.speed_mps).min() >= -0.2 - 1e-6
+
+
 def test_before_a_lower_limit_the_speed_follows_that_limit_and_not_the_one_where_it_is(tmp_path):
     network = tmp_path / "slower.net.xml"
     fast, slow = cut_road(600.0, 600.0).split('<edge id="part1"')

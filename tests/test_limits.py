@@ -9,6 +9,7 @@ import libsumo
 import numpy as np
 import pytest
 from driving import ACCELERATE, EMPTY, KEEP, LEFT, MERGE, RIGHT, UNSEEN, always, at_random, drive, world
+from sketch import cut_road
 
 from rail_sumo import config
 from rail_sumo.errors import InputError
@@ -58,6 +59,23 @@ def test_where_set_speeds_follow_the_limit_a_fast_road_gives_no_leave_to_be_fast
     assert speeds_kmh[fronts < 600.0].max() == pytest.approx(130.0, abs=0.1)
     assert speeds_kmh[fronts > 1004.0].max() == pytest.approx(50.0, abs=0.1)
     assert np.diff(driven.speed_mps).min() >= -0.2 - 1e-6  # 2 m/s², in every step of 0.1 s
+
+
+@pytest.mark.parametrize("by_sumo", [True, False])
+def test_who_is_added_just_before_a_lower_limit_enters_no_faster_than_it_can_slow_down_comfortably(
+    make, tmp_path, by_sumo
+):
+    """On a ramp of others the host came at 19.5 m/s, 65 m before a bend for 6 m/s; SUMO's own driver braked by 9."""
+    text = cut_road(220.0, 400.0, inside_m=8.0)
+    text = re.sub(r'(<lane id="(?:part1|:cut0_0)_.*?speed=)"36.11"', r'\1"6.17"', text)
+    (tmp_path / "bend.net.xml").write_text(text)
+    sections = {"network": {"file": str(tmp_path / "bend.net.xml")}, "traffic": EMPTY, "episode": {"duration_s": 20.0}}
+    env = make(world(adas=BY_THE_LIMIT, **sections), hands_off=by_sumo)
+    driven = drive(env, always(KEEP), UNSEEN)
+    assert 12.0 < driven.speed_mps[0] < 36.11 / 2
+    assert driven.speed_mps[-1] <= 6.17 + 0.01
+    assert np.diff(driven.speed_mps).min() >= -0.2 - 1e-6
+    assert (driven.speed_mps[1:] <= driven.limit_mps + 0.05).all()
 
 
 @pytest.mark.parametrize("by_sumo", [True, False])

@@ -149,6 +149,8 @@ class Camera:
         if told_mps < commanded_mps:
             if host.makes_room:
                 return "vehicle across"
+            if host.lets_in:
+                return "vehicle joining"
             return waits if math.isnan(gap_m) else "vehicle ahead"
         meant_mps = max(set_mps, before_mps - adas.comfort_braking_mps2 * SECONDS_PER_STEP)
         if commanded_mps < meant_mps - SLACK_MPS:

@@ -206,6 +206,7 @@ class HighwayEnv(gymnasium.Env[Floats, np.int64]):
             lane=lane,
             front_m=place[1],
             speed_mps=adas.clipped_mps(adas.start_mps(edge.limit_mps), edge.limit_mps),
+            fastest_mps=edge.enters_mps(lane, place[1], adas.comfort_braking_mps2),
             as_traffic=has_traffic and adas.starts_by_the_limit,
         )
         if not has_traffic:

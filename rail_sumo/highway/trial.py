@@ -53,9 +53,10 @@ class Findings:
 
     @property
     def limits_kmh(self) -> tuple[int, int]:
-        """The lowest and the highest speed limit of the course's edges; where there is none, what a car can do."""
-        limits = [round(_limit_mps(edge) * KMH) for edge in self.road.edges]
-        return min(limits), max(limits)
+        """The lowest and the highest speed limit of the course, junctions included; without any, what a car can do."""
+        of_edges = [_limit_mps(edge) for edge in self.road.edges]
+        ahead = [mps for edge in self.road.edges for lane in edge.limits_ahead for _, mps in lane]
+        return round(min(of_edges + ahead) * KMH), round(max(of_edges) * KMH)
 
     @property
     def as_json(self) -> dict[str, Any]:

@@ -1,5 +1,6 @@
 """One edge of a course: its lanes, and what they lead to."""
 
+import math
 from dataclasses import dataclass, replace
 
 Limits = tuple[tuple[float, float], ...]
@@ -47,6 +48,15 @@ class Edge:
         """Return how far ahead of a place on the edge each of its lanes stops leading on along the course."""
         ahead_m = self.length_m - along_m
         return {lane: ahead_m + leads_on_m for lane, leads_on_m in zip(self.lanes, self.leads_on_m, strict=True)}
+
+    def enters_mps(self, lane: int, along_m: float, braking_mps2: float) -> float:
+        """Return the highest speed at a place on a lane from which such braking keeps to the limits that follow."""
+        ahead_m = self.length_m - along_m
+        speeds = (
+            math.sqrt(limit**2 + 2 * braking_mps2 * max(ahead_m + beyond_m, 0.0))
+            for beyond_m, limit in self.limits_ahead[lane - self.first_lane]
+        )
+        return min(speeds, default=math.inf)
 
     def limited(self, factor: float) -> "Edge":
         """Return the same edge where every speed limit is multiplied by a factor."""

@@ -18,6 +18,8 @@ FORESIGHT_M = 500.0
 
 MAJOR = "M"
 """State of a connection with priority and without a signal. SUMO changes lanes within junctions on such alone."""
+ZIPPER = "Z"
+"""State of a connection that joins another, and whose drivers take turns."""
 
 Joint = list[Any]
 """The connections from one edge to the next, from right to left."""
@@ -31,6 +33,7 @@ class Lanes(NamedTuple):
     edges: tuple[Edge, ...]
     joints: Mapping[str, Edge]
     next_lanes: Mapping[str, tuple[str, ...]]
+    zips_with: Mapping[str, tuple[str, ...]]
     junctions_m: tuple[float, ...]
 
 
@@ -61,7 +64,7 @@ def survey(net: Any, way: Way, without_foes: Set[tuple[str, int]]) -> Lanes:
         for joint, pairs, ahead in zip(way.joints, abreast, (*edges[1:], edges[0]), strict=True)
         if pairs and joint[0].getViaLaneID()
     ]
-    return Lanes(edges, {joint.id: joint for joint in joints}, _next_lanes(net, way), junctions_m)
+    return Lanes(edges, {joint.id: joint for joint in joints}, _next_lanes(net, way), _zips_with(way), junctions_m)
 
 
 def within(net: Any, connection: Any) -> Iterator[Any]:
@@ -187,6 +190,16 @@ def _next_lanes(net: Any, way: Way) -> dict[str, tuple[str, ...]]:
         for lane, ahead in itertools.pairwise(lanes):
             following.setdefault(lane.getID(), {})[ahead.getID()] = None
     return {lane: tuple(ahead) for lane, ahead in following.items()}
+
+
+def _zips_with(way: Way) -> dict[str, tuple[str, ...]]:
+    zips: dict[str, tuple[str, ...]] = {}
+    for connection in itertools.chain.from_iterable(way.joints):
+        if connection.getState() == ZIPPER:
+            lane, joining = connection.getFromLane(), connection.getToLane().getIncomingConnections()
+            others = [one.getFromLane().getID() for one in joining if one.getState() == ZIPPER]
+            zips[lane.getID()] = tuple(other for other in others if other != lane.getID())
+    return {lane: others for lane, others in zips.items() if others}
 
 
 def _edge(

@@ -48,6 +48,8 @@ class Road:
     """The junctions' inside where lanes go on side by side and may be changed, as edges, by SUMO's ids of these."""
     next_lanes: Mapping[str, tuple[str, ...]]
     """For each lane of the course, and within its junctions: the lanes it leads to along the course."""
+    zips_with: Mapping[str, tuple[str, ...]]
+    """The lanes that join another at a zipper junction, each with those that join it there, on the course or not."""
     junctions_m: tuple[float, ...]
     """How long the way through the junction after each edge is; after a chain's last edge 0."""
     is_loop: bool

@@ -1,5 +1,6 @@
 """The one libsumo process: Scene out, Command in. SUMO's facts are converted once, here and in `host`."""
 
+import math
 from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
 from statistics import fmean
@@ -182,14 +183,21 @@ class Simulation:
         libsumo.vehicle.setLaneChangeMode(name, LEAVE_ENDING_LANES)
 
     def add_host(
-        self, edges: Sequence[str], *, lane: int, front_m: float, speed_mps: float, as_traffic: bool = False
+        self,
+        edges: Sequence[str],
+        *,
+        lane: int,
+        front_m: float,
+        speed_mps: float,
+        fastest_mps: float = math.inf,
+        as_traffic: bool = False,
     ) -> None:
         """Insert the host; it stands in the first scene after the next step unless there is no room for it.
 
-        Where it may not drive as fast as `speed_mps`, it enters as fast as it may. With `as_traffic` it enters as fast
-        as the vehicles drive that are there, if there are any.
+        Where it may not drive as fast as `speed_mps`, it enters as fast as it may, and no faster than `fastest_mps`.
+        With `as_traffic` it enters as fast as the vehicles drive that are there, if there are any.
         """
-        ceiling_mps = min(libsumo.lane.getMaxSpeed(f"{edges[0]}_{lane}"), self.host.fastest_mps)
+        ceiling_mps = min(libsumo.lane.getMaxSpeed(f"{edges[0]}_{lane}"), self.host.fastest_mps, fastest_mps)
         there_mps = self.traffic_mps(edges[0], lane, front_m) if as_traffic else None
         self._ceiling_mps = ceiling_mps if as_traffic else min(speed_mps, ceiling_mps)
         self._start = (edges, lane, front_m)

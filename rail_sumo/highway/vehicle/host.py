@@ -19,6 +19,7 @@ from rail_sumo.highway.vehicle.neighbours import Neighbours
 from rail_sumo.highway.vehicle.queues import Queues
 from rail_sumo.highway.vehicle.sumos_changes import SumosChanges
 from rail_sumo.highway.vehicle.whereabouts import to_lane_end_m, way_of
+from rail_sumo.highway.vehicle.zipper import Zipper
 from rail_sumo.records import SECONDS_PER_STEP, SUMO_DECIDES, Command, Gaps, HostState, Scene
 
 SUMO_CHANGES_LANES = 1621
@@ -55,6 +56,7 @@ class Host:
         self._adas = adas
         self._neighbours = Neighbours(name, standstill_gap_m=adas.standstill_gap_m)
         self._letting_in = LettingIn(name, self._neighbours, adas)
+        self._zipper = Zipper(name, adas)
         self.junctions = Junctions(name, adas)
         """What it meets at those ahead."""
         self._ahead = Ahead(name, standstill_gap_m=adas.standstill_gap_m)
@@ -66,6 +68,8 @@ class Host:
         self._before_m = 0.0
         self._lateral_m = 0.0
         self._is_changing_lane = False
+        self.lets_in = False
+        """Whether it drives more slowly for somebody in a lane beside, or in one that joins its own."""
         self.makes_room = False
         """Whether it drives more slowly for somebody who crosses its way at a junction."""
         self.aims_at = ""
@@ -90,6 +94,7 @@ class Host:
         self._joints = road.joints
         self._sumos_changes.follow(road.next_lanes)
         self._queues.follow(road.next_lanes)
+        self._zipper.follow(road)
         self._sight_m = acc.sight_m(self.fastest_mps, self._adas)
         self._neighbours.follow(road, sight_m=self._sight_m)
         to_stop_m = acc.braking_distance_m(self.fastest_mps, self._adas.comfort_braking_mps2)
@@ -340,10 +345,10 @@ class Host:
         speed_mps, now_mps, leader = self._set_mps, self.speeds_mps[-1], self._ahead.leader
         self.abilities.keep_to_limit(now_mps)
         if not self._sumo_drives:
-            speed_mps = min(speed_mps, self._letting_in.allowed_mps(now_mps))
-            if leader is not None:
-                speed_mps = min(speed_mps, acc.following_mps(now_mps, leader, self._adas))
-            self.makes_room = False
+            beside_mps = min(self._letting_in.allowed_mps(now_mps), self._zipper.allowed_mps(now_mps))
+            ahead_mps = math.inf if leader is None else acc.following_mps(now_mps, leader, self._adas)
+            self.lets_in, self.makes_room = beside_mps < min(speed_mps, ahead_mps), False
+            speed_mps = min(speed_mps, beside_mps, ahead_mps)
             if self.junctions.matter:
                 clear_mps = self.junctions.clear_mps(self._look_around, now_mps)
                 self.makes_room, speed_mps = clear_mps < speed_mps, min(clear_mps, speed_mps)

@@ -35,6 +35,7 @@ const HOLDINGS = {
   "right of way": "gives way",
   "lane end": "slows for the end of its lane",
   "gap beside": "falls in for a gap in the lane beside",
+  "vehicle joining": "leaves a gap for a vehicle that joins its lane",
   "vehicle across": "makes room for a vehicle across its way",
   SUMO: "is driven by SUMO, which chooses its speed and lane",
 };
