@@ -59,7 +59,7 @@ class Episode(_Section):
     duration_s: Annotated[float, Field(ge=SECONDS_PER_STEP)] = math.inf
     """How long the host drives."""
     decision_period_s: Annotated[float, Field(ge=SECONDS_PER_STEP, le=2.0)] = 1.0
-    """How often the supervisor decides; it also does when a lane change ends."""
+    """How often the supervisor decides. It also decides when a lane change ends, and the next period begins then."""
 
     @model_validator(mode="after")
     def _whole_steps(self) -> "Episode":
