@@ -3,6 +3,7 @@ import json
 import re
 
 import numpy as np
+import pandas as pd
 import pyarrow as pa
 import pyarrow.parquet as pq
 import pytest
@@ -175,11 +176,12 @@ def without(name):
         (without("distance_0_m"), r"have 1 features \(no 'distance_0_m'\), the configuration wants 2"),
         (
             without("distance_0_m") | {"distance_1_m": pa.array([1.0, 1.0])},
-            r"have 2 features \(no 'distance_0_m'\), the configuration wants 2; ",
+            r"have 2 features \(no 'distance_0_m'\), the configuration wants 2, ",
         ),
         (
             COLUMNS | {"host_speed_mps": pa.array([1.0, 1.0])},
-            r"have 3 features \(also 'host_speed_mps'\), the configuration wants 2; set \[lidar\] and \[observation\]",
+            r"have 3 features \(also 'host_speed_mps'\), the configuration wants 2, from 'distance_0_m' to "
+            r"'relative_speed_0_mps'; add, rename or leave out columns, or set \[lidar\] and \[observation\] to what",
         ),
         (COLUMNS | {"distance_0_m": pa.array([1.0, np.nan])}, "'distance_0_m' must be finite, row 1 is nan"),
         (COLUMNS | {"distance_0_m": pa.array([np.inf, 1.0])}, "'distance_0_m' must be finite, row 0 is inf"),
@@ -204,7 +206,47 @@ def test_a_file_with_something_wrong_is_refused_in_one_line(tmp_path, columns, m
         Demonstrations.load(path, features=FEATURES)
     assert str(raised.value).startswith(f"demonstrations '{path}'")
     assert "\n" not in str(raised.value)
-    assert "rail-sumo expert record" in str(raised.value)
+    assert str(raised.value).endswith("; docs/extending.md, 'Demonstrations of your own', describes the columns")
+
+
+@pytest.mark.parametrize(
+    ("about", "told"),
+    [
+        ({}, "; docs/extending.md, 'Demonstrations of your own', describes"),
+        ({"driver": "rule"}, "record them again with: rail-sumo expert"),
+    ],
+)
+def test_only_what_was_recorded_is_to_be_recorded_again(tmp_path, about, told):
+    path = tmp_path / "wrong.parquet"
+    three_episodes().save(path, features=FEATURES, about=about)
+    table = pq.read_table(path)
+    for wrong in (
+        table.slice(0, 0),
+        table.drop_columns(["action"]),
+        table.set_column(table.column_names.index("action"), "action", pa.array([9] * len(table))),
+        table.append_column("host_speed_mps", pa.array([1.0] * len(table))),
+        table.append_column("distance_0_m", table["distance_0_m"]),
+    ):
+        pq.write_table(wrong, path)
+        with pytest.raises(InputError) as raised:
+            Demonstrations.load(path, features=FEATURES)
+        assert told in str(raised.value)
+
+
+def test_who_has_stored_the_index_of_a_pandas_table_is_told_how_to_leave_it_out(tmp_path):
+    path = tmp_path / "theirs.parquet"
+    theirs = pd.DataFrame({name: values.to_pylist() for name, values in COLUMNS.items()}, index=[3, 7])
+    theirs.to_parquet(path)
+    message = (
+        r"have a column '__index_level_0__', in which pandas keeps .*; leave it out: to_parquet\(\.\.\., index=False\)$"
+    )
+    with pytest.raises(InputError, match=message):
+        Demonstrations.load(path, features=FEATURES)
+    theirs.to_parquet(path, index=False)
+    assert Demonstrations.load(path, features=FEATURES).actions.tolist() == [0, 4]
+    theirs.drop(columns="distance_0_m").to_parquet(path)
+    with pytest.raises(InputError, match=r"have 2 features \(no 'distance_0_m'\)"):
+        Demonstrations.load(path, features=FEATURES)
 
 
 def test_a_missing_file_is_refused(tmp_path):

@@ -33,6 +33,9 @@ _AGAIN = "record them again with: rail-sumo expert record"
 _OF_ANOTHER = (
     f"{_AGAIN} --driver rule, who drives with any senses, or of an expert that senses so (rail-sumo expert train)"
 )
+_DESCRIBED = "docs/extending.md, 'Demonstrations of your own', describes the columns"
+_PANDAS_INDEX = "__index_level_"
+"""How the column begins in which pandas stores an index without a name."""
 
 
 @dataclass(frozen=True)
@@ -190,12 +193,14 @@ class Demonstrations:
         path = Path(path)
         table = _read(path)
         _check_recording(path, table, demonstrating)
-        _check_layout(path, table.column_names, features)
+        _check_layout(path, table, features)
         observations = np.column_stack([_numbers(path, table, name) for name in features])
         actions = _integers(path, table, ACTION)
         stray = actions[(actions < 0) | (actions >= N_ACTIONS)]
         if len(stray):
-            raise InputError(f"{_named(path)} have an action {stray[0]}; actions are 0..{N_ACTIONS - 1}; {_AGAIN}")
+            raise InputError(
+                f"{_named(path)} have an action {stray[0]}; actions are 0..{N_ACTIONS - 1}; {_advice(table)}"
+            )
         allowed = np.ones((len(actions), N_ACTIONS), np.bool_)
         if ALLOWED[0] in table.column_names:
             allowed = np.column_stack([_booleans(path, table, name) for name in ALLOWED])
@@ -203,7 +208,7 @@ class Demonstrations:
             if ignored.any():
                 raise InputError(
                     f"{_named(path)}: row {int(ignored.argmax())} has an action that its columns "
-                    f"{ALLOWED[0]}... do not allow; {_AGAIN}"
+                    f"{ALLOWED[0]}... do not allow; {_advice(table)}"
                 )
         return cls(observations, actions, _integers(path, table, EPISODE), allowed)
 
@@ -242,21 +247,39 @@ def _about(path: Path) -> Mapping[str, Any]:
     return json.loads(said or "{}").get("about", {})
 
 
+def _advice(table: pa.Table) -> str:
+    """Return what to do about a file: record it again, unless it is a table of somebody's own."""
+    return _AGAIN if _is_recorded(table) else _DESCRIBED
+
+
+def _is_recorded(table: pa.Table) -> bool:
+    """Return whether a file tells what it was recorded from, legibly or not."""
+    said = (table.schema.metadata or {}).get(METADATA_KEY)
+    if said is None:
+        return False
+    try:
+        return json.loads(said)["about"] != {}
+    except (ValueError, KeyError, TypeError):
+        return True
+
+
 def _named(path: Path) -> str:
     return f"demonstrations '{path}'"
 
 
 def _read(path: Path) -> pa.Table:
     if not path.is_file():
-        raise InputError(f"{_named(path)} not found; give a Parquet file, or {_AGAIN}")
+        raise InputError(f"{_named(path)} not found; give a Parquet file, or record one with: rail-sumo expert record")
     try:
         with pq.ParquetFile(path) as file:
             table = file.read()
     except (pa.ArrowException, OSError) as error:
         reason = str(error).splitlines()[0]
-        raise InputError(f"{_named(path)} are not a Parquet file, or a damaged one ({reason}); {_AGAIN}") from None
+        raise InputError(
+            f"{_named(path)} are not a Parquet file, or a damaged one ({reason}); write them to one, or {_AGAIN}"
+        ) from None
     if not table.num_rows:
-        raise InputError(f"{_named(path)} hold no decision; {_AGAIN}")
+        raise InputError(f"{_named(path)} hold no decision; {_advice(table)}")
     return table
 
 
@@ -274,22 +297,34 @@ def _check_recording(path: Path, table: pa.Table, demonstrating: Mapping[str, ob
         raise InputError(f"{_named(path)} were recorded with {mismatch}; set it as it was, or {_OF_ANOTHER}")
 
 
-def _check_layout(path: Path, columns: Sequence[str], features: Sequence[str]) -> None:
+def _check_layout(path: Path, table: pa.Table, features: Sequence[str]) -> None:
+    columns = table.column_names
     for name in (ACTION, EPISODE):
         if name not in columns:
-            raise InputError(f"{_named(path)} have no column '{name}'; {_AGAIN}")
+            raise InputError(f"{_named(path)} have no column '{name}'; {_advice(table)}")
     if any(name in columns for name in ALLOWED):
         for name in ALLOWED:
             if name not in columns:
-                raise InputError(f"{_named(path)} have no column '{name}', but others like it; {_AGAIN}")
+                raise InputError(f"{_named(path)} have no column '{name}', but others like it; {_advice(table)}")
     given = [name for name in columns if name not in (ACTION, EPISODE, *ALLOWED)]
     if sorted(given) == sorted(features):
         return
     lacking = [name for name in features if name not in given]
-    difference = f"no '{lacking[0]}'" if lacking else f"also '{next(n for n in given if n not in features)}'"
-    raise InputError(
-        f"{_named(path)} have {len(given)} features ({difference}), the configuration wants {len(features)}; "
+    others = [name for k, name in enumerate(given) if name not in features or name in given[:k]]
+    if not lacking and all(name.startswith(_PANDAS_INDEX) for name in others):
+        raise InputError(
+            f"{_named(path)} have a column '{others[0]}', in which pandas keeps the table's index; leave it out: "
+            "to_parquet(..., index=False)"
+        )
+    difference = f"no '{lacking[0]}'" if lacking else f"also '{others[0]}'"
+    remedy = (
         f"set [lidar] and [observation] as they were recorded, or {_OF_ANOTHER}"
+        if _is_recorded(table)
+        else f"add, rename or leave out columns, or set [lidar] and [observation] to what was sensed; {_DESCRIBED}"
+    )
+    raise InputError(
+        f"{_named(path)} have {len(given)} features ({difference}), the configuration wants {len(features)}, from "
+        f"'{features[0]}' to '{features[-1]}'; {remedy}"
     )
 
 
@@ -298,13 +333,15 @@ def _numbers(path: Path, table: pa.Table, name: str) -> Floats:
     column = table[name]
     if not pa.types.is_floating(column.type):
         raise InputError(
-            f"{_named(path)}: column '{name}' must hold floating-point numbers, not {column.type}; {_AGAIN}"
+            f"{_named(path)}: column '{name}' must hold floating-point numbers, not {column.type}; {_advice(table)}"
         )
     values = column.to_numpy().astype(np.float64)
     bad = ~(np.abs(values) <= np.finfo(np.float32).max)  # a missing value reads as NaN
     if bad.any():
         row = int(bad.argmax())
-        raise InputError(f"{_named(path)}: column '{name}' must be finite, row {row} is {values[row]}; {_AGAIN}")
+        raise InputError(
+            f"{_named(path)}: column '{name}' must be finite, row {row} is {values[row]}; {_advice(table)}"
+        )
     return values
 
 
@@ -324,6 +361,6 @@ def _whole(
     if not is_wanted(column.type) or column.null_count:
         raise InputError(
             f"{_named(path)}: column '{name}' must hold {wanted} in every row, "
-            f"not {column.type} with {column.null_count} missing; {_AGAIN}"
+            f"not {column.type} with {column.null_count} missing; {_advice(table)}"
         )
     return column
