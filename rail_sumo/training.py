@@ -23,6 +23,8 @@ from rail_sumo.run_directory import LEARNERS_COLUMNS, Checkpoint, RunDirectory, 
 
 ROUNDING = 1e-3
 """How far a number may go beyond its bounds, since files hold 32 bits."""
+FAR_HITS = 0.01
+"""Of the rays that tell the range, how many may have hit something just short of it: 32 bits round that up."""
 UNTOLD = (
     "by the demonstrations everything was open to their driver at all times (columns allowed_*, or none), and so a "
     "masked clone of them may change lanes too seldom; tell there what was open, or set policy.masked=false"
@@ -266,7 +268,7 @@ def demonstrations_of(config: Config) -> Demonstrations:
 
 
 def _require_units(shown: Demonstrations, file: Path, config: Config) -> None:
-    """Raise InputError if what was demonstrated is not in our units, or of a LIDAR of another range."""
+    """Raise InputError if what was demonstrated is not in our units, or of a LIDAR of another range or convention."""
     features = feature_names(config.lidar, config.observation)
     low, high = bounds(config.lidar, config.observation)
     least, most = shown.observations.min(axis=0), shown.observations.max(axis=0)
@@ -282,6 +284,19 @@ def _require_units(shown: Demonstrations, file: Path, config: Config) -> None:
         raise InputError(
             f"demonstrations '{file}': no distance is above {farthest_m:g} m, though a ray that hits nothing tells "
             f"the range, {config.lidar.max_range_m:g} m; give metres, and lidar.max_range_m as they were recorded with"
+        )
+    by_frame = shown.observations.reshape(len(shown.observations), config.observation.frames, -1)
+    distances_m, speeds_mps = np.split(by_frame[:, :, : 2 * config.lidar.n_rays], 2, axis=2)
+    hits_nothing = distances_m >= np.float32(config.lidar.max_range_m)
+    moves = hits_nothing & (np.abs(speeds_mps) > ROUNDING)
+    if moves.sum() > FAR_HITS * hits_nothing.sum():
+        row, frame, ray = np.argwhere(moves)[0]
+        distance = frame * by_frame.shape[2] + ray
+        raise InputError(
+            f"demonstrations '{file}': row {row} has {speeds_mps[row, frame, ray]:g} as "
+            f"{features[distance + config.lidar.n_rays]}, where {features[distance]} is the range, "
+            f"{config.lidar.max_range_m:g} m; a ray that hits nothing tells 0 there, and one that hits something how "
+            "fast that is along the host's heading, minus the host's speed, in m/s"
         )
 
 

@@ -792,6 +792,36 @@ def test_demonstrations_in_other_units_are_refused(small, driven, tmp_path, scal
         training.demonstrations_of(small.changed(train={"demonstrations": str(file)}))
 
 
+@pytest.mark.parametrize(("frames", "age"), [(1, ""), (2, "_1_ago")])
+def test_a_ray_that_hits_nothing_tells_no_speed(small, tmp_path, frames, age):
+    file = tmp_path / "theirs.parquet"
+    world = small.changed(
+        observation={"frames": frames, "host_speed": True}, train={"demonstrations": str(file), "trajectories": 1}
+    )
+    features = run.feature_names(world.lidar, world.observation)
+    distance, speed = (features.index(f"{name}{age}") for name in ("distance_3_m", "relative_speed_3_mps"))
+    observations = np.full((100, len(features)), 20.0)  # the host's own speed, and what rays tell that hit something
+    observations[:, distance], observations[:, speed] = world.lidar.max_range_m, 0.0
+
+    def read():
+        n = len(observations)
+        shown = Demonstrations(observations, np.zeros(n, np.int64), np.zeros(n, np.int64))
+        shown.save(file, features=features, about={})
+        return training.demonstrations_of(world)
+
+    read()
+    observations[4, distance], observations[4, speed] = world.lidar.max_range_m - 1e-6, -3.0
+    read()  # it has hit something, though 32 bits round that distance to the range
+    observations[5:7, speed] = 19.5
+    observations[4, distance] = 99.0
+    told = (
+        f"row 5 has 19.5 as relative_speed_3_mps{age}, where distance_3_m{age} is the range, 100 m; a ray that hits "
+        "nothing tells 0 there, and one that hits something how fast that is along the host's heading, minus the"
+    )
+    with pytest.raises(InputError, match=rf"^demonstrations '{re.escape(str(file))}': {re.escape(told)}"):
+        read()
+
+
 def test_demonstrations_that_do_not_tell_what_was_open_are_told_to_who_clones_them_masked(small, driven, tmp_path):
     told = pd.read_parquet(tmp_path / "demonstrations.parquet")
     told.drop(columns=[name for name in told if name.startswith("allowed_")]).to_parquet(tmp_path / "bare.parquet")
