@@ -37,6 +37,7 @@ def world(**sections):
     return validate(tree)
 
 
+BY_THE_LIMIT = {"max_speed_kmh": "limit", "min_speed_kmh": "limit/2", "start_speed_kmh": "limit*3/4"}
 EMPTY = {"vehicles": 0}
 
 

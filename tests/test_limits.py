@@ -8,7 +8,7 @@ from pathlib import Path
 import libsumo
 import numpy as np
 import pytest
-from driving import ACCELERATE, EMPTY, KEEP, LEFT, MERGE, RIGHT, UNSEEN, always, at_random, drive, world
+from driving import ACCELERATE, BY_THE_LIMIT, EMPTY, KEEP, LEFT, MERGE, RIGHT, UNSEEN, always, at_random, drive, world
 from sketch import cut_road
 
 from rail_sumo import config
@@ -44,9 +44,6 @@ def test_speed_limits_are_kept_and_braked_for_comfortably(make, watched, town, w
                 assert speeds_kmh[fronts < 885.0].max() == pytest.approx(80.0)
                 assert speeds_kmh[fronts < 885.0][-1] > 79.0
                 assert speeds_kmh[fronts > 1060.0].min() == pytest.approx(50.0, abs=0.1)
-
-
-BY_THE_LIMIT = {"max_speed_kmh": "limit", "min_speed_kmh": "limit/2", "start_speed_kmh": "limit*3/4"}
 
 
 @pytest.mark.parametrize("who", ["accelerating", "sumo"])

@@ -16,7 +16,7 @@ from rail_sumo.highway.traffic.rides import Decide, Rides
 class Companions:
     """The driven vehicles of a window: each an agent, from its entry until the window takes it off the road.
 
-    Each decides every `episode.decision_period_s` from its own entry, and once more whenever a lane change ends. It
+    Each decides every `episode.decision_period_s` from its own entry, and whenever a lane change ends. It
     enters at the desired speed that the window drew for it; from then on its decisions set its speed. Near the end of
     the road, after a contact or a standstill of five minutes, SUMO's own driver drives it on.
 

@@ -66,7 +66,7 @@ class Fleet:
     """A demand of which a share of the cars is driven, from its beginning on.
 
     Vehicles keep their departure, route, class and size. What a driven one does is what a single host would do: it
-    decides every `episode.decision_period_s` from its own entry, and once more whenever a lane change ends, until it
+    decides every `episode.decision_period_s` from its own entry, and whenever a lane change ends, until it
     arrives. After a contact SUMO drives it on as before.
 
     Args:
