@@ -116,6 +116,13 @@ def test_counts_are_carried_over_and_the_row_fills_every_column():
     assert (driven["min_ttc_s"], driven["end_reason"], driven["seed"]) == (2.5, "collision", 7)
 
 
+@pytest.mark.parametrize(
+    ("closing_mps", "told_s"), [(5.0, 100.0), (0.2, 2500.0), (500 / 3600, 3600.0), (0.138, math.inf), (2e-8, math.inf)]
+)
+def test_who_would_take_more_than_an_hour_to_close_a_gap_of_500_m_never_closes_in(closing_mps, told_s):
+    assert row(np.full(2, 20.0), min_ttc_s=500 / closing_mps)["min_ttc_s"] == pytest.approx(told_s)
+
+
 def test_reward_adds_its_parts_up():
     # Two steps at 60 km/h, 0.5 each; one of them changing lanes; two overtakes more than overtaken; refusals; a crash.
     total = reward(

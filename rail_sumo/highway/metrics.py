@@ -1,5 +1,6 @@
 """Trajectory -> one row: an episode's figures, by the names of the `episodes` table's columns."""
 
+import math
 from collections.abc import Sequence
 from typing import Any
 
@@ -9,6 +10,9 @@ from rail_sumo.config import Adas
 from rail_sumo.highway.reward import lateral_reward, longitudinal_reward
 from rail_sumo.highway.vehicle.hard_braking import hard_brakings
 from rail_sumo.records import KMH, SECONDS_PER_STEP, MetaAction, Trajectory
+
+NO_APPROACH_S = 3600.0
+"""A longer time to collision is no approach: over 200 m that is closing in by less than 0.06 m/s, 0.2 km/h."""
 
 
 def row(trajectory: Trajectory, adas: Adas) -> dict[str, Any]:
@@ -35,7 +39,7 @@ def row(trajectory: Trajectory, adas: Adas) -> dict[str, Any]:
         "collisions": trajectory.collisions,
         "struck": trajectory.struck,
         "refused_decisions": trajectory.refused_decisions,
-        "min_ttc_s": trajectory.min_ttc_s,
+        "min_ttc_s": trajectory.min_ttc_s if trajectory.min_ttc_s <= NO_APPROACH_S else math.inf,
         "hardest_braking_mps2": max(0.0, float(braking_mps2.max())),
         "hard_brakings": hard_brakings(trajectory.speed_mps),
         "hard_brakings_behind": trajectory.hard_brakings_behind,
