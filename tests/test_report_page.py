@@ -375,3 +375,31 @@ def test_where_all_episodes_are_equal_the_axis_leaves_room_also_for_one_that_was
     episodes = report.episodes([undriven] + [row | {"episode": k, "min_ttc_s": ttc_s} for k in (1, 2)])
     axes = plot_episodes.points(episodes, ["rule"]).axes[-1]
     assert axes.get_xlim() == (drawn_at - 1.0, drawn_at + 1.0)
+
+
+def test_a_line_is_the_mean_of_the_table_and_there_is_none_where_points_are_not_at_their_values(evaluation, tmp_path):
+    _, tables = evaluation
+    row = {name: tables.episodes[name].iloc[0] for name in tables.episodes}
+    undriven = {"policy": "near", "episode": 3, "seed": 1, "network": row["network"], "end_reason": "not begun"}
+    times_s = {"near": (10.0, 32.0, 60.0), "apart": (10.0, 32.0, 61.0), "alone": (10.0, 32.0, np.inf)}
+    rows = [
+        row | {"policy": policy, "episode": k, "min_ttc_s": time_s, "speed_kmh": 2.0 * k}
+        for policy, of_policy in times_s.items()
+        for k, time_s in enumerate(of_policy)
+    ]
+    episodes = report.episodes([*rows, undriven])
+    panels = plot_episodes.points(episodes, list(times_s)).axes
+
+    def lines(metric):
+        """The values at which lines stand, by policy; points have a marker."""
+        axes = panels[list(plot_episodes.POINTS).index(metric)]
+        upright = [line for line in axes.lines if line.get_marker() == "None"]
+        return {list(times_s)[round(np.mean(line.get_ydata()))]: line.get_xdata()[0] for line in upright}
+
+    summary = report.summary(episodes)
+    means = summary.set_index(["metric", "policy"])["mean"]
+    assert lines("speed_kmh") == means["speed_kmh"].to_dict() == dict.fromkeys(times_s, 2.0)
+    assert lines("min_ttc_s") == {"near": means["min_ttc_s", "near"]}
+    report.write(tmp_path / "mine", episodes=episodes, summary=summary)
+    report_page.write([tmp_path / "mine"], tmp_path / "page.html")
+    assert "above 60 s are drawn at 60 s, and a policy that has one has no line" in (tmp_path / "page.html").read_text()

@@ -33,21 +33,26 @@ WIDE = 0.35
 
 
 def points(episodes: pd.DataFrame, policies: Sequence[str]) -> "Figure":
-    """Draw every episode as a point, and the mean of each policy's as a line: a panel for each of `POINTS`."""
+    """Draw every episode as a point, and the mean of each policy's as a line: a panel for each of `POINTS`.
+
+    A policy with a point that is not drawn at its value has no line there: the mean of what is drawn is not its mean.
+    """
     from matplotlib.figure import Figure
 
     figure = Figure(figsize=(9.0, 1.2 + 0.28 * len(policies) * 2 + 2.0), layout="constrained")
     spread = np.random.default_rng(0)  # points that lie on one another are moved apart, the same way each time
     for axes, (metric, label) in zip(figure.subplots(2, 3, sharey=True).flat, POINTS.items(), strict=True):
-        drawn = episodes[metric].clip(upper=FARTHEST_TTC_S) if metric == "min_ttc_s" else episodes[metric]
+        told = episodes[metric].to_numpy(np.float64, na_value=np.nan)
+        drawn = np.minimum(told, FARTHEST_TTC_S) if metric == "min_ttc_s" else told
         for at, policy in enumerate(policies):
-            values = drawn[episodes["policy"] == policy].dropna().to_numpy(np.float64)
+            is_own = (episodes["policy"] == policy).to_numpy() & ~np.isnan(told)
+            values = drawn[is_own]
             axes.plot(
                 values, at + spread.uniform(-0.2, 0.2, len(values)), "o", markersize=3, alpha=0.6, color="#0072b2"
             )
-            if len(values):
+            if len(values) and (values == told[is_own]).all():
                 axes.plot([values.mean()] * 2, [at - 0.35, at + 0.35], color="#d55e00", linewidth=2)
-        leave_room(axes.set_xlim, drawn.to_numpy(np.float64, na_value=np.nan))
+        leave_room(axes.set_xlim, drawn)
         axes.set_yticks(range(len(policies)), policies)
         axes.set_ylim(len(policies) - 0.5, -0.5)
         axes.set_xlabel(label)

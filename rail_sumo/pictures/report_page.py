@@ -167,7 +167,10 @@ def _evaluation(episodes: pd.DataFrame, summary: pd.DataFrame) -> Iterator[str]:
     )
     yield "<h3>Evaluation</h3>" + markup.table(pd.DataFrame(rows).astype(object).fillna(""), caption)
     farthest_s = plot_episodes.FARTHEST_TTC_S
-    told = f"Every episode is a point; the line is the mean. Times to collision above {farthest_s:g} s are drawn there."
+    told = (
+        "Every episode is a point; the line is the mean, as in the table. Times to collision above "
+        f"{farthest_s:g} s are drawn at {farthest_s:g} s, and a policy that has one has no line there."
+    )
     yield markup.picture(plot_episodes.points(episodes, policies), told, "Episodes")
     yield markup.details("All episodes", markup.table(episodes))
 
