@@ -7,6 +7,7 @@ import re
 import subprocess
 import sys
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 import pandas as pd
@@ -316,6 +317,57 @@ def test_runs_in_which_somebody_stands_on_a_free_road_are_told_of():
     )
     assert f"a free road ahead (column stuck): {told} ramp): those behind lost" in note
     assert not list(cautions.stuck(table[table["share"] == 1.0], edges))
+
+
+def test_edges_where_vehicles_hardly_move_without_any_driven_car_are_told_of():
+    def rows(driver, share, seed, **ramps):
+        """Of each ramp: by how many vehicles, for how long together, at what speed; and a main road of 10,000 s."""
+        about = {"driver": driver, "setting": "", "share": share, "seed": seed, "vehicles": "others"}
+        return [
+            about | {"edge": edge, "n_vehicles": n, "vehicle_s": time_s, "vehkm": speed_kmh * time_s / 3600}
+            for edge, (n, time_s, speed_kmh) in {"main": (200, 10_000.0, 50.0), **ramps}.items()
+        ]
+
+    def notes(*of_runs):
+        return list(cautions.standstills(pd.DataFrame([row for of_run in of_runs for row in of_run])))
+
+    locked, full, free = (20, 2000.0, 0.4), (20, 2000.0, 0.8), (20, 100.0, 40.0)
+    (note,) = notes(
+        rows("sumo", 0.0, 0, ramp=locked, other=locked),
+        rows("sumo", 0.0, 1, ramp=full, other=free),
+        rows("sumo", 0.5, 0, ramp=free),  # told once, of share 0
+        rows("rule", 0.5, 0, ramp=free),  # whoever drives
+    )
+    assert "any driven car, at so many km/h and for so much of the time of all vehicles (edges.parquet): " in note
+    assert ": as they are: ramp (0.6 km/h, 15%): the figures of the whole road" in note  # 4,000 of 26,100 s
+    for unlike in (
+        (5, 500.0, 0.4),  # less than a twentieth of the time of all
+        (20, 2000.0, 5.1),  # they walk
+        (50, 2000.0, 3.0),  # 40 s each, as before a light
+    ):
+        assert not notes(rows("sumo", 0.0, 0, ramp=locked), rows("sumo", 0.0, 1, ramp=unlike))
+    assert not notes(rows("sumo", 0.0, 0, **{":junction": locked}))
+    assert not notes(rows("rule", 0.5, 0, ramp=locked), rows("sumo", 0.0, 0, ramp=free))
+    (note,) = notes(rows("sumo", 0.0, 0, **{f"ramp{k}": (20, 2000.0 + k, 0.4) for k in range(5)}))
+    assert ": ramp4 (0.4 km/h, 10%); ramp3 (0.4 km/h, 10%); ramp2 (0.4 km/h, 10%) and 2 more: " in note
+
+
+@pytest.mark.parametrize(("period_s", "is_told"), [(1.2, True), (30.0, False)])
+def test_a_minor_road_that_finds_no_gap_is_told_of_though_nobody_is_driven(tmp_path, period_s, is_told):
+    demand = tmp_path / "crossing.rou.xml"
+    demand.write_text(
+        '<routes><route id="major" edges="in out"/><route id="minor" edges="up on"/>'
+        f'<flow id="a" route="major" begin="0" end="300" period="{period_s}" departSpeed="max"/>'
+        '<flow id="b" route="minor" begin="0" end="300" period="5" departLane="random" departPos="400"/></routes>'
+    )
+    network = {"file": str(Path(__file__).with_name("crossing.net.xml"))}
+    world = config_file.validate({"network": network, "traffic": {"routes": [str(demand)]}})
+    swept = small(world, tmp_path / "out", drivers=("sumo",), shares=(0.0,), duration_s=120.0, warm_up_s=120.0)
+    told = [note for note in swept.drive().notes if note.startswith("vehicles hardly move")]
+    assert len(told) == is_told
+    assert all(
+        re.search(r": as they are: up \(\d\.\d km/h, \d\d%\): the figures of the whole road", note) for note in told
+    )
 
 
 @pytest.mark.parametrize("shares", [(0.0,), (0.0, 1.0)])

@@ -22,7 +22,9 @@ FEWER, AT_LEAST = 0.5, 20
 SLOWER, SLOWER_S, EVEN = 2.0, 10.0, 1.5
 """Vehicles lose on an edge where each loses so many times as long there as at share 0, and so much longer; where the
 time loss of all together is this many times as long, they lose everywhere."""
-
+HARDLY_MOVES_KMH, OF_ALL_TIME, LINGERS_S, MOST_EDGES = 5.0, 0.05, 60.0, 3
+"""Vehicles hardly move on an edge where they are slower than who walks, spend so much of the time of all vehicles, and
+each more than before a light that is red; a note names so many edges at most."""
 STOPS, STOPS_MORE = 3, 5.0
 """Driven cars stop where others hardly do if they have so many stops, so many times what comes on them at share 0."""
 RESTLESS, RESTLESS_PER_KM = 3.0, 2.0
@@ -44,6 +46,7 @@ def of_runs(table: pd.DataFrame, edges: pd.DataFrame) -> Iterator[str]:
     yield from full_starts(table)
     yield from locks(table)
     yield from stuck(table, edges)
+    yield from standstills(edges)
     yield from contacts(table)
     yield from breakdowns(table)
     yield from restless(table)
@@ -153,6 +156,23 @@ def stuck(table: pd.DataFrame, edges: pd.DataFrame) -> Iterator[str]:
             f"vehicles stood for 30 s and longer with a free road ahead (column stuck): {_listed(told)}: those behind "
             "lost that time too. Where it happens at share 0 alone, part of what driven cars gain is that, and where "
             "with driven cars alone, of what they lose: tell how many runs locked; sweep --fcd shows it"
+        )
+
+
+def standstills(edges: pd.DataFrame) -> Iterator[str]:
+    """Tell where vehicles hardly move in every run without driven cars, as before a junction that locks in SUMO."""
+    once = shares.told_once(edges)
+    told = []
+    for setting, as_they_are in once[once["driver"] == shares.AS_THEY_ARE].groupby("setting", sort=False):
+        found = _where_vehicles_hardly_move(as_they_are)
+        where = [f"{row.edge} ({row.speed_kmh:.1f} km/h, {row.part:.0%})" for row in found.itertuples()]
+        if where:
+            told.append(f"{shares.called(shares.AS_THEY_ARE, str(setting), 0.0)}: {_listed(where, MOST_EDGES)}")
+    if told:
+        yield (
+            "vehicles hardly move on some edges in every run without any driven car, at so many km/h and for so much "
+            f"of the time of all vehicles (edges.parquet): {_listed(told)}: the figures of the whole road are to a "
+            "good part of those who stand there; look at single edges, or mend the network or the demand"
         )
 
 
@@ -294,6 +314,23 @@ def _outside_junctions(edges: pd.DataFrame) -> pd.DataFrame:
     return edges[~edges["edge"].str.startswith(":")]
 
 
+def _where_vehicles_hardly_move(runs: pd.DataFrame) -> pd.DataFrame:
+    """Return the edges where that holds in every run: their `speed_kmh`, and `part` of the time of all vehicles."""
+    in_runs = runs.groupby(["edge", "seed"])[["n_vehicles", "vehicle_s", "vehkm"]].sum().reset_index()
+    hardly_move = (
+        (3600 * in_runs["vehkm"] < HARDLY_MOVES_KMH * in_runs["vehicle_s"])
+        & (in_runs["vehicle_s"] >= LINGERS_S * in_runs["n_vehicles"])
+        & (in_runs["vehicle_s"] >= OF_ALL_TIME * in_runs.groupby("seed")["vehicle_s"].transform("sum"))
+    )
+    in_all_runs = hardly_move.groupby(in_runs["edge"]).sum() == runs["seed"].nunique()
+    sums = in_runs.groupby("edge")[["vehicle_s", "vehkm"]].sum()
+    rates = pd.DataFrame({
+        "speed_kmh": 3600 * sums["vehkm"] / sums["vehicle_s"],
+        "part": sums["vehicle_s"] / sums["vehicle_s"].sum(),
+    })  # fmt: skip
+    return _outside_junctions(rates[in_all_runs].reset_index()).sort_values("part", ascending=False)
+
+
 def _at_the_beginning(counts: pd.DataFrame) -> "pd.Series[float]":
     """Return how many vehicles were on the road when the period began, from those of its end."""
     return counts["unfinished"] - counts["inserted"] + counts["arrived"]
@@ -309,6 +346,6 @@ def _seeds(runs: pd.DataFrame) -> str:
     )
 
 
-def _listed(told: Sequence[str]) -> str:
-    more = f" and {len(told) - MOST_TOLD} more" if len(told) > MOST_TOLD else ""
-    return "; ".join(told[:MOST_TOLD]) + more
+def _listed(told: Sequence[str], most: int = MOST_TOLD) -> str:
+    more = f" and {len(told) - most} more" if len(told) > most else ""
+    return "; ".join(told[:most]) + more
