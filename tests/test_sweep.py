@@ -473,6 +473,22 @@ def test_keys_of_the_assistance_layer_are_told_to_do_nothing_to_sumos_own_cruise
     assert ([note.partition(":")[0] for note in changed._idle_keys()] == ["adas.max_speed_kmh"]) == told
 
 
+def test_types_that_follow_otherwise_than_driven_cars_are_told_of(tmp_path):
+    demand = tmp_path / "types.rou.xml"
+    demand.write_text(
+        '<routes><vType id="like" tau="1.05" accel="2.6"/><vType id="far" tau="1.4" accel="1"/><vType id="plain"/>'
+        '<vType id="near" tau="0.8"/><vType id="lorry" vClass="truck" tau="3"/><vType id="odd" accel="?"/>'
+        '<route id="along" edges="highway"/><vehicle id="one" type="far" route="along" depart="0"/></routes>'
+    )
+    config = config_file.validate({"network": {"file": "highway5"}, "traffic": {"routes": [str(demand)]}})
+    swept = small(config, tmp_path / "out", drivers=("rule", "acc"))
+    (note,) = swept._unlike_types()
+    assert note.startswith("driven cars keep 1 s and speed up by 2 m/s², and types of the demand do otherwise ")
+    assert "('far' tau 1.4; 'far' accel 1; 'near' tau 0.8): " in note
+    for drivers in (("acc",), ("sumo",)):
+        assert not list(replace(swept, drivers=drivers)._unlike_types())
+
+
 def test_flow_is_of_the_same_road_at_every_share_however_far_vehicles_get(tmp_path):
     """Where all cars are driven, a driver that crawls keeps nearly all of the last edge empty."""
     network, routes = tmp_path / "two.net.xml", tmp_path / "two.rou.xml"

@@ -39,6 +39,8 @@ FIGURES = "figures"
 """The folder of its pictures."""
 SECTIONS, PERIOD = ("network", "traffic", "adas", "lidar", "observation"), "episode.decision_period_s"
 """What may be swept over beside the share: numbers of these sections, and this one."""
+OTHER_GAP, OTHER_ACCELERATION = 1.1, 1.5
+"""By what factor a type's `tau` or `accel` is another than that of driven cars, where it is told."""
 FOUND_OVER, FOUND_WITHIN_S = 2.0, 1200.0
 """To find the warm-up the traffic is watched for so many times the period that counts, and no less long than this."""
 
@@ -100,6 +102,7 @@ class Sweep:
         notes += demand.warnings(demand_of(self.config), self.config.traffic)
         notes += road.misdrawn(self.config.network.file)
         notes += self._idle_keys()
+        notes += self._unlike_types()
         notes += self._early_ends(warm_up_s)
         notes += roster.unlike_modes(_who(one for one in planned if one.driver in self.drivers))
         for note in notes:
@@ -315,6 +318,25 @@ class Sweep:
             yield (
                 f"{', '.join(idle)}: without effect on {ACC}, which keeps the time gap (tau), accelerations and wish "
                 "of the vehicle's own type"
+            )
+
+    def _unlike_types(self) -> Iterator[str]:
+        """Tell which types of the demand follow and speed up otherwise than driven cars, whoever drives these."""
+        if self._leaves_all or not set(self.drivers) - {ACC, AS_THEY_ARE}:
+            return
+        adas, told = self.config.adas, []
+        for contents in demand_of(self.config).contents:
+            for kind, own in contents.following.items():
+                tau, accel = own.get("tau", adas.time_gap_s), own.get("accel", adas.acceleration_mps2)
+                if not 1 / OTHER_GAP < tau / adas.time_gap_s < OTHER_GAP:
+                    told.append(f"'{kind}' tau {tau:g}")
+                if not 1 / OTHER_ACCELERATION < accel / adas.acceleration_mps2 < OTHER_ACCELERATION:
+                    told.append(f"'{kind}' accel {accel:g}")
+        if told:
+            yield (
+                f"driven cars keep {adas.time_gap_s:g} s and speed up by {adas.acceleration_mps2:g} m/s², and types of "
+                f"the demand do otherwise ({cautions.listed(told)}): a part of what a share changes is that; to see "
+                "how much, set adas.time_gap_s and adas.acceleration_mps2 to theirs"
             )
 
     def _at(self, setting: str) -> str:

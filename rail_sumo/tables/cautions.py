@@ -81,7 +81,7 @@ def growth(table: pd.DataFrame) -> Iterator[str]:
     if len(grown):
 
         def told(arms: Iterable[tuple[str, str, float]]) -> str:
-            return _listed([f"{shares.called(*arm)} from {begins[arm]:.0f} to {ends[arm]:.0f}" for arm in arms])
+            return listed([f"{shares.called(*arm)} from {begins[arm]:.0f} to {ends[arm]:.0f}" for arm in arms])
 
         beside = [arm for arm in growth.index if arm[0] == shares.AS_THEY_ARE and not arm[2] and arm not in grown]
         yield (
@@ -97,7 +97,7 @@ def few_trips(table: pd.DataFrame) -> Iterator[str]:
     if len(few):
         told = [f"{shares.called(*arm)} {n:.0f}" for arm, n in few.items()]
         yield (
-            f"few vehicles enter in the period of a run (column inserted), at the least {_listed(told)}: travel times, "
+            f"few vehicles enter in the period of a run (column inserted), at the least {listed(told)}: travel times, "
             "departure delays and CO2 are of those trips alone; begin earlier, or let the period be longer"
         )
 
@@ -122,7 +122,7 @@ def full_starts(table: pd.DataFrame) -> Iterator[str]:
     if told:
         yield (
             "the period begins with more vehicles than share 0 of the same seed, against other seeds: "
-            f"{_listed(told)}: they may have stood in the warm-up, and what dissolves is counted as flow; sweep --fcd "
+            f"{listed(told)}: they may have stood in the warm-up, and what dissolves is counted as flow; sweep --fcd "
             "shows it"
         )
 
@@ -153,7 +153,7 @@ def stuck(table: pd.DataFrame, edges: pd.DataFrame) -> Iterator[str]:
         told.append(f"{shares.called(*arm)} in {n} of {n_runs} runs ({who}, most on {by_edge.idxmax()})")
     if told:
         yield (
-            f"vehicles stood for 30 s and longer with a free road ahead (column stuck): {_listed(told)}: those behind "
+            f"vehicles stood for 30 s and longer with a free road ahead (column stuck): {listed(told)}: those behind "
             "lost that time too. Where it happens at share 0 alone, part of what driven cars gain is that, and where "
             "with driven cars alone, of what they lose: tell how many runs locked; sweep --fcd shows it"
         )
@@ -167,11 +167,11 @@ def standstills(edges: pd.DataFrame) -> Iterator[str]:
         found = _where_vehicles_hardly_move(as_they_are)
         where = [f"{row.edge} ({row.speed_kmh:.1f} km/h, {row.part:.0%})" for row in found.itertuples()]
         if where:
-            told.append(f"{shares.called(shares.AS_THEY_ARE, str(setting), 0.0)}: {_listed(where, MOST_EDGES)}")
+            told.append(f"{shares.called(shares.AS_THEY_ARE, str(setting), 0.0)}: {listed(where, MOST_EDGES)}")
     if told:
         yield (
             "vehicles hardly move on some edges in every run without any driven car, at so many km/h and for so much "
-            f"of the time of all vehicles (edges.parquet): {_listed(told)}: the figures of the whole road are to a "
+            f"of the time of all vehicles (edges.parquet): {listed(told)}: the figures of the whole road are to a "
             "good part of those who stand there; look at single edges, or mend the network or the demand"
         )
 
@@ -200,7 +200,7 @@ def restless(table: pd.DataFrame) -> Iterator[str]:
             told.append(f"{shares.called(driver, setting, share)} {rate:.1f} times a km, as they are {theirs:.1f}")
     if told:
         yield (
-            f"driven cars change lanes far more often than the same cars do as they are: {_listed(told)}: a learned "
+            f"driven cars change lanes far more often than the same cars do as they are: {listed(told)}: a learned "
             "driver may do so for nothing, as where bends are tight; see docs/limits.md, and compare with rule"
         )
 
@@ -216,7 +216,7 @@ def breakdowns(table: pd.DataFrame) -> Iterator[str]:
                 told.append(f"{shares.called(*arm)} seed {seed} at {speed:.0f} km/h, the others at {others:.0f}")
     if told:
         yield (
-            f"traffic breaks down with some seeds (traffic.csv): {_listed(told)}: means and intervals are of unlike "
+            f"traffic breaks down with some seeds (traffic.csv): {listed(told)}: means and intervals are of unlike "
             "runs; tell how many broke down"
         )
 
@@ -237,10 +237,10 @@ def alike(table: pd.DataFrame) -> Iterator[str]:
             nearly.append(shares.called(*arm))
     vary = "vary the demand, for example by --set 'traffic.options=[\"random-depart-offset=5\"]'"
     if same:
-        yield f"every seed drove the same: {_listed(same)}: that is one run, and its interval says nothing; {vary}"
+        yield f"every seed drove the same: {listed(same)}: that is one run, and its interval says nothing; {vary}"
     if nearly:
         yield (
-            f"seeds make hardly any difference, less than 0.01 % in speed and flow: {_listed(nearly)}: that is nearly "
+            f"seeds make hardly any difference, less than 0.01 % in speed and flow: {listed(nearly)}: that is nearly "
             f"one run, and its interval says little; {vary}"
         )
 
@@ -262,7 +262,7 @@ def emptied(edges: pd.DataFrame) -> Iterator[str]:
     if told:
         yield (
             f"far fewer vehicles come to some edges than at share 0 (edges.parquet; all seeds together): "
-            f"{_listed(told)}: they may stand before, or have not come so far"
+            f"{listed(told)}: they may stand before, or have not come so far"
         )
 
 
@@ -285,7 +285,7 @@ def losers(edges: pd.DataFrame) -> Iterator[str]:
             of_both = f"{of_all[as_they_are]:.0f} to {of_all[arm]:.0f} s/km"
             told.append(f"{shares.called(*arm)}: {where}, while all together go from {of_both}")
     if told:
-        yield f"some lose far more time than at share 0, in s a vehicle on an edge (edges.parquet): {_listed(told)}"
+        yield f"some lose far more time than at share 0, in s a vehicle on an edge (edges.parquet): {listed(told)}"
 
 
 def stops(edges: pd.DataFrame) -> Iterator[str]:
@@ -305,9 +305,15 @@ def stops(edges: pd.DataFrame) -> Iterator[str]:
     if told:
         yield (
             "driven cars come to a stop where vehicles hardly do at share 0, in stops by so many cars on an edge "
-            f"(column stops of edges.parquet; all seeds): {_listed(told)}: means hide that, as at the end of a lane "
+            f"(column stops of edges.parquet; all seeds): {listed(told)}: means hide that, as at the end of a lane "
             "that joins; see docs/share.md"
         )
+
+
+def listed(told: Sequence[str], most: int = MOST_TOLD) -> str:
+    """Return the first of what is told, and how many more there are."""
+    more = f" and {len(told) - most} more" if len(told) > most else ""
+    return "; ".join(told[:most]) + more
 
 
 def _outside_junctions(edges: pd.DataFrame) -> pd.DataFrame:
@@ -338,14 +344,9 @@ def _at_the_beginning(counts: pd.DataFrame) -> "pd.Series[float]":
 
 def _seeds(runs: pd.DataFrame) -> str:
     """Return the seeds of some runs, by driver and share."""
-    return _listed(
+    return listed(
         [
             f"{shares.called(driver, setting, share)} {', '.join(map(str, of_arm['seed']))}"
             for (driver, setting, share), of_arm in runs.groupby(shares.ARM, sort=False)
         ]
     )
-
-
-def _listed(told: Sequence[str], most: int = MOST_TOLD) -> str:
-    more = f" and {len(told) - most} more" if len(told) > most else ""
-    return "; ".join(told[:most]) + more

@@ -8,7 +8,7 @@ from functools import cache
 from pathlib import Path
 
 from rail_sumo.errors import InputError
-from rail_sumo.highway.names import OURS
+from rail_sumo.highway.names import CARS, OURS
 from rail_sumo.highway.network.sumo_xml import elements, is_configuration, seconds, state_of
 
 TRAFFIC_ELEMENTS = ("vehicle", "flow", "trip")
@@ -69,6 +69,8 @@ class DemandFile:
     """Classes of vehicle types, by their ids; of distributions, as if they were of cars."""
     long_cars: dict[str, float] = field(default_factory=dict)
     """Lengths of types without a class that are longer than a car, by their ids."""
+    following: dict[str, dict[str, float]] = field(default_factory=dict)
+    """What types of cars tell of how they follow, `tau` and `accel`, by their ids."""
     kinds: set[str] = field(default_factory=set)
     """Ids of the types that vehicles are of."""
     closed_lanes: set[str] = field(default_factory=set)
@@ -105,6 +107,8 @@ class DemandFile:
                 length_m = float(element.get("length", "0"))
                 if "vClass" not in element.attrib and length_m > LONGEST_CAR_M:
                     self.long_cars[name] = length_m
+            if self.types[name] in CARS:
+                self.following[name] = _numbers(element, "tau", "accel")
         if tag == "closingLaneReroute":
             self.closed_lanes.add(name)
         if tag == "include":
@@ -156,6 +160,15 @@ def _read(path: Path, state: tuple[int, int]) -> DemandFile:
             f"number, its period or its time"
         )
     return said
+
+
+def _numbers(element: ElementTree.Element, *names: str) -> dict[str, float]:
+    """Return those of these attributes that are numbers."""
+    numbers = {}
+    for name in names:
+        with suppress(ValueError):
+            numbers[name] = float(element.get(name, ""))
+    return numbers
 
 
 def _rate_per_s(flow: ElementTree.Element, lasts_s: float) -> float:
