@@ -264,11 +264,12 @@ def demonstrations_of(config: Config) -> Demonstrations:
     file = _demonstrations_file(config)
     shown = Demonstrations.load(file, features=features, demonstrating=config.demonstrating)
     _require_units(shown, file, config)
+    _require_resting_rays(shown, file, config)
     return shown.take(config.train.trajectories)
 
 
 def _require_units(shown: Demonstrations, file: Path, config: Config) -> None:
-    """Raise InputError if what was demonstrated is not in our units, or of a LIDAR of another range or convention."""
+    """Raise InputError if what was demonstrated is not in our units, or of a LIDAR of another range."""
     features = feature_names(config.lidar, config.observation)
     low, high = bounds(config.lidar, config.observation)
     least, most = shown.observations.min(axis=0), shown.observations.max(axis=0)
@@ -285,6 +286,11 @@ def _require_units(shown: Demonstrations, file: Path, config: Config) -> None:
             f"demonstrations '{file}': no distance is above {farthest_m:g} m, though a ray that hits nothing tells "
             f"the range, {config.lidar.max_range_m:g} m; give metres, and lidar.max_range_m as they were recorded with"
         )
+
+
+def _require_resting_rays(shown: Demonstrations, file: Path, config: Config) -> None:
+    """Raise InputError if rays that hit nothing tell a relative speed, as where speeds are absolute."""
+    features = feature_names(config.lidar, config.observation)
     by_frame = shown.observations.reshape(len(shown.observations), config.observation.frames, -1)
     distances_m, speeds_mps = np.split(by_frame[:, :, : 2 * config.lidar.n_rays], 2, axis=2)
     hits_nothing = distances_m >= np.float32(config.lidar.max_range_m)
