@@ -60,14 +60,14 @@ class Zipper:
 
         It brakes no more than comfortably for that.
         """
+        if not self._zips_with:
+            return math.inf
         falling_in = (acc.falling_in_mps(speed_mps, one, self._adas) for one in self._who_go_first())
         return min(falling_in, default=math.inf)
 
     def _who_go_first(self) -> Iterator[Leader]:
         """Yield of each lane that is about to join its own the last of those who go first."""
         others, to_meet_m = self._lanes_that_join()
-        if not others:
-            return
         own = _approach(self._name, to_meet_m)
         for lane in others:
             last = None
@@ -81,8 +81,6 @@ class Zipper:
 
     def _lanes_that_join(self) -> tuple[tuple[str, ...], float]:
         """Return the lanes that join its own in sight, and how far ahead they do; none if that is farther."""
-        if not self._zips_with:
-            return (), math.inf
         lane, ahead_m = libsumo.vehicle.getLaneID(self._name), to_lane_end_m(self._name)
         while lane and lane not in self._zips_with and ahead_m < SIGHT_M:
             lane = next(iter(self._next_lanes.get(lane, ())), "")
