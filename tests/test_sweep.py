@@ -6,6 +6,8 @@ import os
 import re
 import subprocess
 import sys
+import xml.etree.ElementTree as ElementTree
+from collections import Counter
 from dataclasses import replace
 from pathlib import Path
 
@@ -15,7 +17,7 @@ import pytest
 from rich.console import Console
 from sketch import cut_road
 
-from rail_sumo import assets, cli, config_file
+from rail_sumo import assets, cli, config_file, rollout
 from rail_sumo.errors import InputError
 from rail_sumo.pictures import fcd, plot
 from rail_sumo.studies import share_run, sweep, sweep_report
@@ -401,11 +403,62 @@ def test_runs_in_which_vehicles_touch_are_told_of():
     about = {"vehicles": "all", "setting": "", "driver": "rule", "share": 1.0}
     rows = [about | {"seed": seed, "collisions": number} for seed, number in enumerate((1, 0, 2))]
     placebo = {"driver": "sumo", "vehicles": "driven", "seed": 0, "collisions": 7}
-    table = pd.DataFrame([*rows, rows[2] | {"vehicles": "driven", "collisions": 1}, rows[0] | placebo])
-    (note,) = cautions.contacts(table)
-    assert note.startswith("vehicles touched (column collisions), with the seeds rule at 100% 0, 2; ")
-    assert "Of these contacts 1 were of driven cars" in note
-    assert not list(cautions.contacts(table[table["collisions"] == 0]))
+    sumo = about | {"driver": "sumo", "share": 0.0, "seed": 1, "collisions": 1}
+    table = pd.DataFrame([*rows, rows[2] | {"vehicles": "driven", "collisions": 1}, rows[0] | placebo, sumo])
+    places = [
+        *(("rule", 1.0, "driven", edge, n) for edge, n in (("main", 0), (":j", 1))),
+        *(("rule", 1.0, "others", edge, n) for edge, n in (("main", 1), (":j", 1))),
+        *(("sumo", share, "others", "ramp", n) for share, n in ((0.0, 1), (1.0, 7))),  # told once, of share 0
+    ]
+    edges = pd.DataFrame(places, columns=["driver", "share", "vehicles", "edge", "collisions"]).assign(setting="")
+    (note,) = cautions.contacts(table, edges)
+    assert note.startswith(
+        "vehicles touched (column collisions): rule at 100% with seeds 0, 2 (3 contacts, 1 of driven cars, 2 of them "
+        "on :j); as they are with seed 1 (1 contact, on ramp); they may be the same two at the same time in several "
+        "runs, which are no independent ones; those of SUMO's vehicles alone, as where a lorry waits"
+    )
+    assert not list(cautions.contacts(table[table["collisions"] == 0], edges))
+
+
+@pytest.mark.parametrize(("n_driven", "are_alone"), [(2, False), (1, True)])
+def test_of_contacts_in_one_run_or_of_driven_cars_alone_no_more_is_said_than_holds(n_driven, are_alone):
+    about = {"driver": "rule", "setting": "", "share": 1.0}
+    counts = {"all": 2, "driven": n_driven}
+    table = pd.DataFrame([about | {"seed": 4, "vehicles": kind, "collisions": n} for kind, n in counts.items()])
+    edges = pd.DataFrame([about | {"vehicles": "driven", "edge": ":j", "collisions": 2}])
+    (note,) = cautions.contacts(table, edges)
+    assert f"rule at 100% with seed 4 (2 contacts, {n_driven} of driven cars, on :j)" in note
+    assert "several runs" not in note
+    assert ("SUMO's vehicles alone" in note) == are_alone
+
+
+def test_a_sweep_tells_where_vehicles_touch_as_sumo_lists_it(tmp_path):
+    """Lorries wait within the crossing to turn left, and SUMO's cars touch their corners."""
+    flow = '<flow id="{}" from="{}" to="{}" begin="0" end="120" departSpeed="max" '.format
+    (tmp_path / "left.rou.xml").write_text(
+        '<routes><vType id="lorry" vClass="truck"/><vType id="car"/>'
+        + flow("left", "sc", "cw")
+        + 'type="lorry" period="12" departLane="best"/>'
+        + flow("ahead", "nc", "cs")
+        + 'type="car" period="6" departLane="0"/></routes>'
+    )
+    network = {"file": str(Path(__file__).with_name("left_turns.net.xml"))}
+    world = config_file.validate({"network": network, "traffic": {"routes": [str(tmp_path / "left.rou.xml")]}})
+    alone = {"drivers": ("sumo",), "shares": (0.0,), "seeds": 1, "duration_s": 80.0, "warm_up_s": 60.0}
+    tables = small(world, tmp_path / "out", **alone).drive()
+    listed = tmp_path / "contacts.xml"
+    seed = rollout.traffic_seed(0, rollout.EVALUATION, 0)
+    rollout.fleet_of("nothing", world, 0.0, seed, ("--collision-output", str(listed))).drive(140.0)
+    theirs = Counter(
+        contact.get("lane").rpartition("_")[0]
+        for contact in ElementTree.parse(listed).getroot()
+        if float(contact.get("time")) >= 60.0
+    )
+    ours = tables.edges.groupby("edge")["collisions"].sum()
+    assert ours[ours > 0].to_dict() == theirs
+    assert tables.traffic.set_index("vehicles").loc["all", "collisions"] == theirs.total() > 0
+    (note,) = (one for one in tables.notes if one.startswith("vehicles touched"))
+    assert re.search(rf"\(\d+ contacts, .*on {theirs.most_common(1)[0][0]}\); ", note)
 
 
 def test_an_edge_that_traffic_no_longer_comes_to_is_told_of():

@@ -221,6 +221,24 @@ def test_who_stands_for_30_s_on_a_free_road_where_it_has_priority_is_stuck(tmp_p
     assert of(reports)["all"]["stuck"] == reports.edges(set())["stuck"].sum() == stuck
 
 
+def test_a_contact_is_told_once_on_the_edge_where_it_happened_of_who_ran_into_the_other(tmp_path):
+    one = drives("one", [10.0] * 4) + drives("one", [10.0] * 4, ":j_0", from_s=2.0)
+    touch = '<collision time="{}" collider="{}" victim="{}" lane="{}"/>'.format
+    reports = written(
+        tmp_path,
+        one + drives("two", [10.0] * 8) + drives("three", [10.0] * 8),
+        collisions=touch(1, "two", "one", "a_1")
+        + touch(2, "one", "two", ":j_0")
+        + touch(3, "one", "three", ":j_0")
+        + touch(3, "two", "three", "a_0")
+        + touch(10, "one", "two", ":j_0"),  # after the period
+    )
+    told = reports.edges({"one"}).set_index(["vehicles", "edge"])["collisions"]
+    assert told.to_dict() == {("driven", "a"): 0, ("driven", ":j"): 2, ("others", "a"): 2}
+    whole = of(reports, "one")
+    assert [whole[kind]["collisions"] for kind in ("all", "driven", "others")] == [4, 3, 4]
+
+
 @pytest.mark.parametrize(
     ("samples", "stops"),
     [
@@ -267,10 +285,10 @@ def test_an_edge_has_what_happened_on_it_by_type_and_by_whether_driven(tmp_path)
     told = reports.edges({"one"}).set_index(["vehicles", "type", "edge"])
     assert list(told.columns) == [*traffic.SUMS, "n_vehicles"]
     loss_s = 0.5 * (0 + 0.09 + 0.09)
-    assert told.loc[("driven", "car", "a")].tolist() == pytest.approx([1.5, 0.0282, loss_s, 1, 1, 0, 0, 0, 0, 1])
-    assert told.loc[("driven", "car", "b")].tolist() == pytest.approx([1.0, 0.0182, 0.09, 0, 0, 0, 0, 0, 0, 1])
-    assert told.loc[("others", "lorry", "a")].tolist() == pytest.approx([2.0, 0.02, 1.0, 0, 0, 1, 0, 0, 0, 1])
-    assert told.loc[("others", "car", "a")].tolist() == pytest.approx([1.0, 0.02, 0, 0, 0, 0, 0, 0, 0, 1])
+    assert told.loc[("driven", "car", "a")].tolist() == pytest.approx([1.5, 0.0282, loss_s, 1, 1, 0, 0, 0, 0, 0, 1])
+    assert told.loc[("driven", "car", "b")].tolist() == pytest.approx([1.0, 0.0182, 0.09, 0, 0, 0, 0, 0, 0, 0, 1])
+    assert told.loc[("others", "lorry", "a")].tolist() == pytest.approx([2.0, 0.02, 1.0, 0, 0, 1, 0, 0, 0, 0, 1])
+    assert told.loc[("others", "car", "a")].tolist() == pytest.approx([1.0, 0.02, 0, 0, 0, 0, 0, 0, 0, 0, 1])
     assert len(told) == 4
 
 

@@ -47,7 +47,7 @@ def of_runs(table: pd.DataFrame, edges: pd.DataFrame) -> Iterator[str]:
     yield from locks(table)
     yield from stuck(table, edges)
     yield from standstills(edges)
-    yield from contacts(table)
+    yield from contacts(table, edges)
     yield from breakdowns(table)
     yield from restless(table)
     yield from alike(table)
@@ -176,16 +176,30 @@ def standstills(edges: pd.DataFrame) -> Iterator[str]:
         )
 
 
-def contacts(table: pd.DataFrame) -> Iterator[str]:
-    """Tell in which runs vehicles touched, which a mean over seeds does not, and how often driven ones did."""
+def contacts(table: pd.DataFrame, edges: pd.DataFrame) -> Iterator[str]:
+    """Tell in which runs vehicles touched, which a mean over seeds does not, where, and how often driven ones did."""
     touched = shares.of_all_vehicles(table).query("collisions > 0")
     driven = table[(table["vehicles"] == traffic.DRIVEN) & (table["driver"] != shares.AS_THEY_ARE)]
-    if len(touched):
+    of_driven = driven.groupby(shares.ARM)["collisions"].sum()
+    by_edge = edges.groupby([*shares.ARM, "edge"])["collisions"].sum()
+    told, without_driven = [], 0
+    for arm, of_arm in touched.groupby(shares.ARM, sort=False):
+        n, n_driven, there = of_arm["collisions"].sum(), of_driven.get(arm, 0), by_edge[arm]
+        without_driven += n - n_driven
+        seeds = f"{'seeds' if len(of_arm) > 1 else 'seed'} {', '.join(map(str, of_arm['seed']))}"
+        who = "" if arm[0] == shares.AS_THEY_ARE else f", {n_driven} of driven cars"
+        where = "" if there.max() == n else f"{there.max()} of them "
+        n_contacts = f"{n} contact{'s' if n > 1 else ''}"
+        told.append(f"{shares.called(*arm)} with {seeds} ({n_contacts}{who}, {where}on {there.idxmax()})")
+    if told:
+        same = "; they may be the same two at the same time in several runs, which are no independent ones"
+        alone = (
+            "; those of SUMO's vehicles alone, as where a lorry waits in the way of others, are no gain or loss in "
+            "safety that driven cars bring"
+        )
         yield (
-            f"vehicles touched (column collisions), with the seeds {_seeds(touched)}; they may be the same two at the "
-            "same time in several runs, which are no independent ones. Of these contacts "
-            f"{driven['collisions'].sum()} were of driven cars; those of SUMO's vehicles alone, as where a lorry waits "
-            "in the way of others, are no gain or loss in safety that driven cars bring"
+            f"vehicles touched (column collisions): {listed(told)}{same if len(touched) > 1 else ''}"
+            f"{alone if without_driven else ''}. docs/measures.md says how to list them: when, which two, on which lane"
         )
 
 

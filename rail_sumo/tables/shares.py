@@ -152,8 +152,8 @@ def rates(edges: pd.DataFrame, by: list[str]) -> pd.DataFrame:
         edges: `EDGE_COLUMNS`.
         by: its columns that make a group.
     """
-    sums = told_once(edges).groupby(by, sort=False)[list(traffic.SUMS)].sum()
-    counted = [name for name in traffic.SUMS if name not in ("vehicle_s", "vehkm", "time_loss_s", "stuck")]
+    counted = ["lane_changes", "hard_brakings", "ttc_below_1_5s", "drac_above_3_4", "stops"]
+    sums = told_once(edges).groupby(by, sort=False)[["vehicle_s", "vehkm", "time_loss_s", *counted]].sum()
     return pd.DataFrame({
         "vehkm": sums["vehkm"],
         "speed_kmh": 3600 * sums["vehkm"] / sums["vehicle_s"],

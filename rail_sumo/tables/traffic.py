@@ -74,6 +74,7 @@ SUMS: dict[str, str] = {
     "drac_above_3_4": "int64",
     "stops": "int64",
     "stuck": "int64",
+    "collisions": "int64",
 }
 """What is summed for each edge, in order, with its pandas types."""
 
@@ -135,10 +136,7 @@ class Reports:
         self._samples = _samples(run)
         self._trips = _trips(run.folder / "trips.xml")
         self._changes = _changes(run)
-        self._collided = [
-            (float(one.get("time", "")), {one.get("collider", ""), one.get("victim", "")})
-            for one in _elements(run.folder / "collisions.xml", "collision")
-        ]
+        self._contacts = _contacts(run)
         lanes_m: dict[str, list[float]] = {edge: [] for edge in run.edges}
         for name, lane in run.lanes.items():
             if lane.is_open and (edge := name.rpartition("_")[0]) in lanes_m:
@@ -186,9 +184,10 @@ class Reports:
             time_loss_s=_time_loss_s(self._samples),
             **{name: self._samples[begins].astype("int64") for name, begins in counts.items()},
         )
-        of_lanes = samples.groupby(["id", "lane"])[[name for name in SUMS if name != "lane_changes"]].sum()
-        changes = self._changes.assign(lane_changes=1).groupby(["id", "lane"])["lane_changes"].sum()
-        sums = of_lanes.join(changes, how="outer").fillna(0).astype(SUMS).reset_index()
+        of_lanes = samples.groupby(["id", "lane"])[["vehicle_s", "vehkm", "time_loss_s", *counts]].sum()
+        changes = self._changes.groupby(["id", "lane"]).size().rename("lane_changes")
+        contacts = self._contacts.groupby(["collider", "lane"]).size().rename("collisions").rename_axis(["id", "lane"])
+        sums = of_lanes.join([changes, contacts], how="outer").fillna(0).astype(SUMS).reset_index()
         kinds = {name: vehicle.kind for name, vehicle in self._run.vehicles.items()}
         edges = [lane.rpartition("_")[0] for lane in sums["lane"]]
         return sums.assign(type=sums["id"].map(kinds), edge=pd.Series(edges, dtype="str"))
@@ -234,7 +233,10 @@ class Reports:
             "drac_above_3_4_per_vehkm": per_vehkm(int(samples["drac_high"].sum())),
             "co2_g_per_vehkm": per_vehkm(departed["co2_mg"].sum() / 1000, whole_km),
             "fuel_ml_per_vehkm": per_vehkm(departed["fuel_mg"].sum() / 1000 / PETROL_G_PER_ML, whole_km),
-            "collisions": sum(any(map(belongs, both)) for both in within(self._collided)),
+            "collisions": sum(
+                belongs(collider) or belongs(victim)
+                for collider, victim in zip(self._contacts["collider"], self._contacts["victim"], strict=True)
+            ),
             "teleports": sum(map(belongs, within(list(run.teleported)))),
             "stuck": int(samples["is_stuck"].sum()),
         }
@@ -304,6 +306,16 @@ def _changes(run: Run) -> pd.DataFrame:
         if run.from_s <= float(one.get("time", "")) < run.until_s
     ]
     return pd.DataFrame(found, columns=["id", "lane"], dtype="str")
+
+
+def _contacts(run: Run) -> pd.DataFrame:
+    """Return which two vehicles touched in the period, and on which lane."""
+    found = [
+        (one.get("collider"), one.get("victim"), one.get("lane"))
+        for one in _elements(run.folder / "collisions.xml", "collision")
+        if run.from_s <= float(one.get("time", "")) < run.until_s
+    ]
+    return pd.DataFrame(found, columns=["collider", "victim", "lane"], dtype="str")
 
 
 def _begins(holds: np.ndarray, is_next: np.ndarray) -> np.ndarray:
