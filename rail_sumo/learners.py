@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
-from rail_sumo import drivers, registry, rollout
+from rail_sumo import drivers, registry, rollout, roster
 from rail_sumo.config import OF_LEARNERS, Config
 from rail_sumo.highway.reward import total_reward
 from rail_sumo.imitation.demonstrations import Demonstrations
@@ -88,11 +88,15 @@ class Practice:
 
         Args:
             learner: who drives.
-            adviser: any driver, or the name of one: expert, rule, keep or random.
+            adviser: any driver that takes decisions, with the learner's senses, or its name; see `roster.find_driver`.
             n_rollouts: how many rollouts.
             iteration: which one it is.
+
+        Raises:
+            InputError: no such driver; SUMO's own, which takes no decisions; or one with other senses.
         """
-        tasks = [replace(self._task(learner, iteration, i), adviser=adviser) for i in range(n_rollouts)]
+        who = roster.who_advises(adviser, self._world, learner)
+        tasks = [replace(self._task(learner, iteration, i), adviser=who) for i in range(n_rollouts)]
         advised = list(self._pool.map(rollout.practise_advised, tasks))
         self._count(driven for driven, _ in advised)
         return advised

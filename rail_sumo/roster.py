@@ -145,6 +145,36 @@ def who_drives(given: Who, world: Config) -> Who:
     return given
 
 
+def who_decides(given: Who, world: Config) -> Who:
+    """Return as `who_drives` does a driver whose decisions can be recorded.
+
+    Raises:
+        InputError: as of `who_drives`; or SUMO's own driver, which takes no decisions.
+    """
+    if drivers.hands_off(given):
+        raise InputError(
+            f"driver '{given}' takes no decisions that could be recorded; take rule, expert or a run directory"
+        )
+    return who_drives(given, world)
+
+
+def who_advises(given: Who, world: Config, driver: Who) -> Who:
+    """Return as `who_decides` does a driver that is asked for its decisions where another one drives.
+
+    Args:
+        given: who is asked.
+        world: where.
+        driver: who drives, as `who_drives` returns it; the adviser is shown what this one senses.
+
+    Raises:
+        InputError: as of `who_decides`; or the adviser was trained with other senses than the driver's.
+    """
+    seen = world if isinstance(driver, str) else world.seen_with(driver.senses)
+    adviser = who_decides(given, seen)
+    drivers.require_same_senses(adviser, seen, f"adviser '{given}'" if isinstance(given, str) else "the adviser")
+    return adviser
+
+
 def _name_and_mode(policy: str) -> tuple[str, str]:
     """Return a policy's name or folder, and how it is to act; "" for as it was trained."""
     name, _, mode = policy.rpartition(":")

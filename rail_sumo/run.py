@@ -265,13 +265,15 @@ def record(
     The arguments are those of `drive`.
 
     Args:
-        adviser: whose decisions are recorded in place of those that are carried out, as DAgger needs them.
+        adviser: whose decisions are recorded in place of those that are carried out, as DAgger needs them; a driver
+            with the same senses.
 
     Raises:
-        InputError: no such driver, or none of several attempts at an episode could be driven.
+        InputError: no such driver; driver or adviser is SUMO's own, which takes no decisions; the adviser has other
+            senses than the driver; or none of several attempts at an episode could be driven.
     """
-    who = roster.who_drives(driver, world)
-    advice = None if adviser is None else roster.who_drives(adviser, world)
+    who = roster.who_decides(driver, world)
+    advice = None if adviser is None else roster.who_advises(adviser, world, who)
     seeds = [traffic_seed(seed, DEMONSTRATION, episode) for episode in range(episodes)]
     tasks = [Task(who, world, one, adviser=advice) for one in seeds]
     if advice is None:
@@ -299,15 +301,11 @@ def demonstrate(
         InputError: the file `out` is not named FILE.parquet, exists and is not to be overwritten, or cannot be written;
             the world has senses of its own, and the driver others; bad input of any kind.
     """
-    if drivers.hands_off(driver):
-        raise InputError(
-            f"driver '{driver}' takes no decisions that could be recorded; take rule, expert or a run directory"
-        )
     if Path(out).suffix != ".parquet":
         raise InputError(f"demonstrations are a Parquet file, FILE.parquet; got '{out}'")
     check_file(out, overwrite=overwrite)
     require_drivable(world, episodes)
-    who = roster.find_driver(driver, world)
+    who = roster.who_decides(driver, world)
     if not isinstance(who, str) and world.senses == Config().senses:
         given, world = world, world.seen_with(who.senses)
         if keys := drivers.settings(world.sensing, given.sensing):

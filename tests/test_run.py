@@ -10,6 +10,7 @@ import signal
 import sys
 from functools import partial
 from pathlib import Path
+from types import SimpleNamespace
 
 import numpy as np
 import pandas as pd
@@ -941,6 +942,58 @@ def test_a_driver_is_not_recorded_with_other_senses_than_its_own(tmp_path):
         InputError, match=rf"^driver 'road-expert' was trained with lidar\.n_rays = 24, not 12; set {keys}, or train"
     ):
         run.demonstrate("road-expert", other, tmp_path / "other.parquet", episodes=1, seed=0)
+
+
+@pytest.fixture
+def practice():
+    """What a learner drives with, of the shipped RAIL, in SUMO and for 5 s."""
+    shipped = RunDirectory(assets.driver("rail"))
+    config = shipped.config.changed(train={"horizon_s": 5.0})
+    return learners.Practice(SimpleNamespace(config=config, seed=shipped.seed), rollout._Serial())
+
+
+@pytest.mark.parametrize("name", ["sumo", "sumo:truck"])
+def test_who_takes_no_decisions_is_neither_recorded_nor_asked(name, small, practice, tmp_path):
+    refused = rf"^driver '{name}' takes no decisions that could be recorded; take rule, expert or a run directory$"
+    with pytest.raises(InputError, match=refused):
+        run.record(name, small, episodes=1, seed=0)
+    with pytest.raises(InputError, match=refused):
+        run.record(name, small, episodes=1, seed=0, adviser="rule")
+    with pytest.raises(InputError, match=refused):
+        run.record("keep", small, episodes=1, seed=0, adviser=name)
+    with pytest.raises(InputError, match=refused):
+        run.demonstrate(name, small, tmp_path / "shown.parquet", episodes=1, seed=0)
+    with pytest.raises(InputError, match=refused):
+        practice.advised(roster.find_driver("rail", small), name, 1, 1)
+
+
+def test_an_adviser_goes_by_every_name_that_drivers_have(practice, tmp_path, monkeypatch):
+    (tmp_path / "asked.py").write_text(
+        "class Left:\n    senses = None\n\n    def decide(self, observation, agent):\n        return 3\n"
+    )
+    monkeypatch.syspath_prepend(tmp_path)
+    learned = RunDirectory(assets.driver("rail")).policy().acting("argmax")
+    for name in ("asked:Left", "rail:argmax", f"{assets.driver('rail')}:argmax"):
+        ((driven, advice),) = practice.advised(learned, name, 1, 1)
+        assert len(advice) == len(driven.decisions) == 5
+        assert advice.tolist() == ([3] * 5 if name == "asked:Left" else driven.decisions.tolist())
+    with pytest.raises(InputError, match=r"^policy 'rial' is neither .* did you mean 'rail'"):
+        practice.advised(learned, "rial", 1, 1)
+
+
+def test_an_adviser_with_other_senses_than_the_drivers_is_refused(practice):
+    further = config_file.load(None, ["episode.duration_s=5", "lidar.max_range_m=150"])
+    refused = (
+        r"^adviser 'expert' was trained with lidar\.max_range_m = 100\.0, not 150\.0; set lidar\.max_range_m=100\.0"
+    )
+    with pytest.raises(InputError, match=refused):
+        run.record("keep", further, episodes=1, seed=0, adviser="expert")
+    recorded = run.record("rail", further, episodes=1, seed=0, adviser="expert")  # rail drives with its own senses
+    assert recorded.observations.shape == (5, 48)
+    with pytest.raises(InputError, match=r"^the adviser was trained with observation\.host_speed = True"):
+        practice.advised(
+            roster.find_driver("rail", further), roster.find_driver("road-expert", config_file.load()), 1, 1
+        )
 
 
 def test_a_run_that_is_not_done_says_so(small, driven, tmp_path):
