@@ -1,4 +1,4 @@
-"""What docs/extending.md shows is run as it stands, only shorter."""
+"""What docs/extending.md and the page of DAgger show is run as it stands, only shorter."""
 
 import os
 import re
@@ -13,15 +13,18 @@ import pytest
 import torch
 from safetensors.numpy import load_file
 
-from rail_sumo import assets, learners, registry, rollout, roster
+from rail_sumo import assets, learners, registry, rollout, roster, training
 from rail_sumo.config_file import load
 from rail_sumo.errors import InputError
 from rail_sumo.imitation.demonstrations import recorded_on
 from rail_sumo.imitation.losses import LOSSES
 from rail_sumo.records import MetaAction, Scene
+from rail_sumo.run import demonstrate
 from rail_sumo.run_directory import RunDirectory
 
-DOCUMENT = Path(__file__).parent.parent.joinpath("docs", "extending.md").read_text(encoding="utf-8")
+DOCS = Path(__file__).parent.parent / "docs"
+DOCUMENT = (DOCS / "extending.md").read_text(encoding="utf-8")
+DAGGER = (DOCS / "learners" / "dagger.md").read_text(encoding="utf-8")
 BRIEF = [
     "cloning.epochs=5",
     "train.iterations=2",
@@ -146,6 +149,30 @@ def test_the_learner_shown_learns_in_workers_and_is_resumed_to_the_same_policy(s
     more = ["train", "--out", "runs/again", "--resume", "--set", "train.iterations=3"]
     with pytest.raises(AssertionError, match=r"the content of train\.learner has changed since run directory"):
         run(folder, "-c", "from rail_sumo import cli; cli.main()", *more)
+
+
+def test_the_dagger_shown_asks_the_teacher_named_and_is_resumed_to_the_same_policy(tmp_path, monkeypatch):
+    (text,) = re.findall(r"```python\n# ask\.py\n(.*?)```", DAGGER, re.DOTALL)
+    (tmp_path / "ask.py").write_text(text)
+    (tmp_path / "left.py").write_text(
+        "class Left:\n    senses = None\n\n    def decide(self, observation, agent):\n        return 3\n"
+    )
+    monkeypatch.syspath_prepend(tmp_path)
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setattr(import_module("ask"), "ROLLOUTS", 2)
+    (command,) = re.findall(r"rail-sumo train (.*learner=ask.*)", DAGGER)
+    brief = load(None, [*re.findall(r"--set (\S+)", command), *BRIEF, "train.trajectories=3"])
+    once = brief.changed(train={"iterations": 1})
+    demonstrate("rule", load(None, BRIEF), "rule.parquet", episodes=3, seed=0)
+    for teacher in ("rule", "left:Left"):
+        monkeypatch.setattr("ask.TEACHER", teacher)
+        whole = training.learn(brief, tmp_path / teacher, seed=1).checkpoint()
+        training.learn(once, tmp_path / f"{teacher}-again", seed=1)
+        again = training.learn(brief, tmp_path / f"{teacher}-again", seed=1, resume=True).checkpoint()
+        assert (again.learned.theta == whole.learned.theta).all()
+        assert whole.memory["episode"].max() + 1 == 3 + 2 * 2  # the demonstrations, and two rollouts of each iteration
+        asked = whole.memory["actions"][whole.memory["episode"] >= 3]
+        assert (asked == MetaAction.LEFT).all() == (teacher == "left:Left")
 
 
 @pytest.mark.slow

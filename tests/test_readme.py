@@ -102,7 +102,7 @@ def test_the_python_shown_runs_in_an_empty_folder(tmp_path):
     over_trainings, apart = shown("docs/learners.md", "python")
     (environment,) = shown("README.md", "python")
     floating_car_data, staged = shown("docs/watch.md", "python")
-    (nearest,) = shown("docs/learners/dagger.md", "python")
+    _, nearest = shown("docs/learners/dagger.md", "python")
     (tmp_path / "training.py").write_text(shortened(training), encoding="utf-8")
     speeds = run(tmp_path, "training.py")
     assert [line.split()[0] for line in speeds.splitlines()[1:]] == ["runs/linear", "expert", "rule"]
