@@ -359,6 +359,7 @@ def test_drivers_that_do_not_train_cannot_have_too_few_trainings(world, done, tm
 
 
 def test_the_table_made_from_cells_is_the_experiments_byte_for_byte(world, done, tmp_path):
+    world = world.changed(train={"iterations": "default"})  # of other numbers the cells do not know
     some = ("rule", "rail-1", "gail-2")
     of_all, of_some = table1(world, tmp_path / "all", seeds=2), table1(world, tmp_path / "some", some, seeds=2)
     others = [("rail-2", 5), ("gail-2", 5), ("expert", 0)]  # as the figures leave among the cells
@@ -455,6 +456,25 @@ def test_what_was_quick_goes_on_to_the_whole_and_not_back(world, done, tmp_path)
     resumed = {event[1]: event[2:] for event in done if event[0] == "learn"}
     long = {"rail": 160, "rewarded": 160, "gail": 160, "dagger": 20}  # a clone is a clone
     assert resumed == {name: (long[kind], True) for name in LEARNERS if (kind := name.partition("-")[0]) != "bc"}
+
+
+def test_the_table_tells_what_was_trained_for_other_than_the_usual_iterations(world, done, tmp_path):
+    whole, systems = world.changed(train={"iterations": "default"}), ("rail-2", "rail-1", "dagger-2", "bc-2", "rule")
+    quick = [
+        "Trained for 40 iterations in place of 160 (--quick): RAIL, two layers; RAIL, one layer.",
+        "Trained for 5 iterations in place of 20 (--quick): DAgger, two layers.",
+    ]
+    table1(whole, tmp_path / "quick", systems, seeds=1, quick=True)
+    told = (tmp_path / "quick" / "table1.md").read_text()
+    assert told.endswith("\n\n" + "\n\n".join(quick) + "\n")
+    assert json.loads((tmp_path / "quick" / "evaluation.json").read_text())["notes"] == quick
+    reproduce.table1_of(tmp_path / "quick" / "cells.parquet", tmp_path / "again", systems)  # which cannot know
+    assert (tmp_path / "again" / "table1.md").read_text() == told.removesuffix("\n" + "\n\n".join(quick) + "\n")
+    table1(whole, tmp_path / "quick", systems, seeds=1)  # goes on to the whole
+    assert "Trained for" not in (tmp_path / "quick" / "table1.md").read_text()
+    table1(world.changed(train={"iterations": 20}), tmp_path / "own", systems, seeds=1, quick=True)
+    told = (tmp_path / "own" / "table1.md").read_text()  # quick changes nothing that is said
+    assert told.endswith("\n\nTrained for 20 iterations in place of 160: RAIL, two layers; RAIL, one layer.\n")
 
 
 def test_other_episodes_are_driven_without_training_again(world, done, tmp_path):

@@ -135,6 +135,22 @@ class Experiment:
         """That the demonstrations are, or may be, of another driver than the expert that all is compared with."""
         return tuple(training.other_expert(self.config, "ratios and 'told apart' are to"))
 
+    def other_iterations(self, systems: Iterable[str]) -> list[str]:
+        """Tell which of the systems are trained for more or fewer iterations than their learners usually are."""
+        told: dict[tuple[int, int], list[str]] = {}
+        for name in dict.fromkeys(systems):
+            if not SYSTEMS[name].trains:
+                continue
+            world = _world(Cell(name, 1, 0), self.config, self.quick)
+            iterations = world.train.n_iterations, learners.learner_of(world).iterations
+            if len(set(iterations)) > 1:
+                told.setdefault(iterations, []).append(SYSTEMS[name].label)
+        quick = " (--quick)" if self.quick and self.config.train.iterations == "default" else ""
+        return [
+            f"Trained for {own} iterations in place of {usual}{quick}: {'; '.join(labels)}."
+            for (own, usual), labels in told.items()
+        ]
+
     def drive(self, grid: Iterable[tuple[str, int]]) -> pd.DataFrame:
         """Bring a cell for every seed and every (system, trajectories) to its end; write `cells` into `out`.
 
@@ -170,6 +186,7 @@ class Experiment:
                 self.observer.advance({})
         report.write(self.out, cells=_typed(self._all_finished()), overwrite=True)
         files = training.inputs_of(self.config) | training.expert_input(self.config)
+        notes += self.other_iterations(system for system, _ in systems)
         origin.describe(self.out, self.config, self.command, notes=notes, trains=True, files=files)
         return _typed(driven)
 
