@@ -1,4 +1,7 @@
+import itertools
+
 import numpy as np
+import pandas as pd
 import pytest
 from scipy import stats
 
@@ -6,7 +9,7 @@ from rail_sumo.config import Config
 from rail_sumo.errors import InputError
 from rail_sumo.pictures import plot
 from rail_sumo.policy import PolicyParameters, Shape, Whitening
-from rail_sumo.run_directory import PROGRESS_COLUMNS, Checkpoint, RunDirectory
+from rail_sumo.run_directory import PROGRESS, PROGRESS_COLUMNS, Checkpoint, RunDirectory
 from rail_sumo.tables.shares import HEADINGS
 
 N_FEATURES = 48
@@ -48,6 +51,21 @@ def test_against_time_the_axis_is_in_minutes(run):
     figure = plot.learning_curves([run("mine", [1, 2])], against="time")
     assert lines(figure)[0][:, 0].tolist() == [2.0, 4.0]
     assert figure.axes[2].get_xlabel() == "training, minutes"
+
+
+@pytest.mark.parametrize("n_iterations", [2, 3, 5, 7, 12, 40])
+def test_the_labels_of_a_short_runs_steps_stand_apart(n_iterations, run):
+    short = run("short", range(n_iterations))
+    progress = pd.read_csv(short / PROGRESS)
+    progress.assign(environment_steps=progress["iteration"] * 640).to_csv(short / PROGRESS, index=False)
+    figure = plot.learning_curves([short])
+    figure.draw_without_rendering()
+    for axes in figure.axes[2:]:
+        left, right = axes.get_xlim()
+        ticks = zip(axes.get_xticks(), axes.get_xticklabels(), strict=True)
+        boxes = [label.get_window_extent() for at, label in ticks if left <= at <= right]
+        assert len(boxes) > 1
+        assert all(one.x1 + 15.0 < other.x0 for one, other in itertools.pairwise(boxes))  # a digit is 9 pixels wide
 
 
 def test_runs_that_differ_by_their_seed_are_one_curve_with_a_confidence_band(run):

@@ -84,6 +84,7 @@ def learning_curves(runs: Sequence[Path], against: Against = "steps") -> "Figure
         axes.spines[["top", "right"]].set_visible(False)
     for axes in figure.axes[2:]:
         axes.set_xlabel(label)
+        axes.locator_params(axis="x", nbins=5)  # labels of a short run are long, such as 0.0012
     several = any(len(runs) > 1 for runs in groups.values())
     told = f"Rollouts in training traffic; running means over {SMOOTHED_OVER} iterations"
     figure.supxlabel(f"{told}; bands: 95 % of the mean over runs" if several else told, fontsize="small", color="0.4")
