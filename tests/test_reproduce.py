@@ -322,6 +322,7 @@ def test_refused_decisions_and_how_well_one_is_told_apart_are_in_the_table(world
         ((1.0021, 1.00004, 1.0041), "1.00210 (1.00004 to 1.00410)"),
         ((np.nan, np.nan, np.nan), ""),
         ((1.0, np.nan, np.nan), "1.000"),
+        ((0.2148, -0.0004, 0.43), "0.215 (0.000 to 0.430)"),  # no -0.000
     ],
 )
 def test_a_ratio_whose_interval_is_without_1_does_not_look_as_if_it_held_1(interval, shown):

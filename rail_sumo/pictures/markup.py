@@ -69,7 +69,7 @@ def _cell(value: Any) -> str:
     if isinstance(value, Interval):
         if math.isnan(value.value):
             return "<td></td>"
-        shown = f"{value.value:.4g}" if value.decimals is None else f"{value.value:.{value.decimals}f}"
+        shown = f"{value.value:.4g}" if value.decimals is None else f"{value.value:z.{value.decimals}f}"
         return f'<td data-value="{value.value!r}">{shown}{_within(value.low, value.high, value.decimals)}</td>'
     if isinstance(value, Share):
         if not value.episodes:
@@ -90,6 +90,6 @@ def _within(low: float, high: float, decimals: int | None) -> str:
     if low == high:
         return "<small>± 0, the same in all</small>"
     if decimals is not None:
-        return f"<small>{low:.{decimals}f} to {high:.{decimals}f}</small>"
+        return f"<small>{low:z.{decimals}f} to {high:z.{decimals}f}</small>"
     digits = next(n for n in range(4, 18) if f"{low:.{n}g}" != f"{high:.{n}g}")
     return f"<small>{low:.{digits}g} to {high:.{digits}g}</small>"

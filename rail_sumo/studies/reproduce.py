@@ -316,8 +316,8 @@ def with_interval(value: float, low: float, high: float, decimals: int = 3) -> s
     """Return a figure as tables show it, with its interval if that has a width; nothing for what is not known."""
     if not np.isfinite(value):
         return ""
-    interval = f" ({low:.{decimals}f} to {high:.{decimals}f})" if low < high else ""
-    return f"{value:.{decimals}f}{interval}"
+    interval = f" ({low:z.{decimals}f} to {high:z.{decimals}f})" if low < high else ""
+    return f"{value:z.{decimals}f}{interval}"
 
 
 def ratio_with_interval(value: float, low: float, high: float) -> str:
