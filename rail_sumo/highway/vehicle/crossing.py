@@ -14,8 +14,6 @@ from rail_sumo.records import Floats
 
 CROSSES_RAD = math.radians(30.0)
 """Whoever's heading differs by more than this from that of the host's way there drives across it, or against it."""
-AT_ANY_ANGLE = -1.0
-"""Whoever is there, also along it."""
 CLEAR_M = 0.5
 """The room that is left to them, ahead."""
 BESIDE_M = 0.4
@@ -44,9 +42,7 @@ def passing_mps(free_m: float, braking_mps2: float) -> float:
     return math.sqrt(PASSING_MPS**2 + 2 * braking_mps2 * max(free_m, 0.0))
 
 
-def free_m(
-    others: Floats, way: Floats, *, width_m: float, aside_m: float = 0.0, crosses_rad: float = CROSSES_RAD
-) -> float:
+def free_m(others: Floats, way: Floats, *, width_m: float, aside_m: float = 0.0) -> float:
     """Return how far ahead the host's way is free of those who cross it; inf if it is.
 
     Args:
@@ -54,9 +50,8 @@ def free_m(
         way: the points that the middle of its front comes by, from where it is, shape (k, 2).
         width_m: of the host.
         aside_m: how far to the left of those points it drives.
-        crosses_rad: at what angle others cross it at least; `AT_ANY_ANGLE` for whoever is in its way.
     """
-    return _free_m(others, _straights(way), width_m / 2, aside_m, crosses_rad)
+    return _free_m(others, _straights(way), width_m / 2, aside_m)
 
 
 def stopped(others: Floats) -> Floats:
@@ -117,19 +112,17 @@ def _straights(way: Floats) -> list[_Part]:
     return [_Part(*map(float, part)) for part in parts if part[-1]]
 
 
-def _free_m(
-    others: Floats, parts: Iterable[_Part], half_width: float, aside_m: float, crosses_rad: float = CROSSES_RAD
-) -> float:
+def _free_m(others: Floats, parts: Iterable[_Part], half_width: float, aside_m: float) -> float:
     before_m = 0.0
     for part in parts if others.size else ():
-        nearest_m = _free_straight_m(others, part, half_width, aside_m, crosses_rad)
+        nearest_m = _free_straight_m(others, part, half_width, aside_m)
         if nearest_m <= part.length_m:
             return before_m + nearest_m
         before_m += part.length_m
     return math.inf
 
 
-def _free_straight_m(others: Floats, part: _Part, half_width: float, aside_m: float, crosses_rad: float) -> float:
+def _free_straight_m(others: Floats, part: _Part, half_width: float, aside_m: float) -> float:
     """Return how far ahead on one straight part the nearest is who crosses it; inf if nobody does."""
     x, y, headings, _, lengths, widths = others
     cosine, sine = math.cos(part.heading), math.sin(part.heading)
@@ -140,7 +133,7 @@ def _free_straight_m(others: Floats, part: _Part, half_width: float, aside_m: fl
     free = math.inf
     for k in np.flatnonzero(is_near):
         turned = headings[k] - part.heading
-        if abs(math.remainder(turned, 2 * math.pi)) <= crosses_rad:
+        if abs(math.remainder(turned, 2 * math.pi)) <= CROSSES_RAD:
             continue
         corners = np.array([(-1, -1), (1, -1), (1, 1), (-1, 1)]) * (lengths[k] / 2, widths[k] / 2)
         cosine, sine = math.cos(turned), math.sin(turned)

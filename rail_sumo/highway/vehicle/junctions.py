@@ -50,7 +50,7 @@ class Junctions:
         """Tell what is ahead along a course, so far away."""
         self._edges, self._sight_m = road.edge_of, road.sight_m
         self._is_left_hand, self._sees_m = road.is_left_hand, sees_m
-        self.matter = self._has_signals or road.gives_way or bool(road.zips_with)
+        self.matter = self._has_signals or road.gives_way
         """Whether it may ever have to wait at one."""
 
     def places(self, speed_mps: float) -> tuple[tuple[Place, ...], tuple[Place, ...]]:
@@ -136,11 +136,6 @@ class Junctions:
         width_m, lane_m = host[5], libsumo.lane.getWidth(lanes[0])
         self.aside_m = crossing.aside_m(host, others, way, lane_m=lane_m, now_m=self.aside_m)
         free_m = crossing.free_m(others, way, width_m=width_m, aside_m=self.aside_m)
-        standing = others[:, others[3] < crossing.STANDS_MPS]
-        stands_m = crossing.free_m(
-            standing, way, width_m=width_m, aside_m=self.aside_m, crosses_rad=crossing.AT_ANY_ANGLE
-        )
-        free_m = min(free_m, stands_m)
         allowed_mps = math.inf if math.isinf(free_m) else crossing.allowed_mps(free_m)
         if self.aside_m:
             least_m = width_m + 2 * crossing.LEAST_BESIDE_M
