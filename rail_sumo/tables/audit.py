@@ -36,6 +36,9 @@ def told_apart(learner: Sequence[Trajectory], expert: Sequence[Trajectory]) -> F
     Chance can put a figure below 0.5. The fewer episodes there are to learn from, the less a classifier finds: compare
     figures only from equal numbers of episodes. The same episodes always give the same figures.
 
+    Do not compare SUMO's own driver (`sumo`): it takes no decisions, its episodes hold *keep* alone, and the figure
+    would only tell how rarely the expert keeps.
+
     Args:
         learner: its episodes.
         expert: its expert's, as many, on the same traffic.

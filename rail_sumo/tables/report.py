@@ -256,7 +256,7 @@ def _table(summary: pd.DataFrame, told: dict[str, tuple[str, int]], *, has_inter
                 if has_intervals and n > 1:  # where the reference's mean may be 0 a ratio has none
                     low, high = row["ratio_low"], row["ratio_high"]
                     places = ratio_decimals(low, high, 2)
-                    ratio = f"{low:.{places}f}\N{EN DASH}{high:.{places}f}" if np.isfinite(high) else "no interval"
+                    ratio = f"{low:z.{places}f}\N{EN DASH}{high:z.{places}f}" if np.isfinite(high) else "no interval"
                 cell += f"\n[dim]{ratio}[/]"
             cells.append(cell)
         cells += [f"{by_metric.loc[(policy, metric), 'mean']:.{decimals}f}" for metric, decimals in told.values()]
