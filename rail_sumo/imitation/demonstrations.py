@@ -220,7 +220,7 @@ def recorded_on(path: Path) -> tuple[str, ...]:
         InputError: it tells so in a way that cannot be read.
     """
     try:
-        tree = tomllib.loads(_about(path).get("config", ""))
+        tree = tomllib.loads(_about(pq.read_schema(path)).get("config", ""))
         return tuple(tree.get("varied", {}).get("networks") or filter(None, [tree.get("network", {}).get("file")]))
     except (ValueError, AttributeError, TypeError) as error:
         raise InputError(f"{_named(path)} tell of their recording what cannot be read ({error}); {_AGAIN}") from None
@@ -236,14 +236,15 @@ def recorded_by(path: Path) -> tuple[str, str]:
         InputError: it tells so in a way that cannot be read.
     """
     try:
-        about = _about(path)
+        about = _about(pq.read_schema(path))
         return str(about.get("driver", "")), str(about.get(DRIVER_SHA256, ""))
     except (ValueError, AttributeError, TypeError) as error:
         raise InputError(f"{_named(path)} tell of their recording what cannot be read ({error}); {_AGAIN}") from None
 
 
-def _about(path: Path) -> Mapping[str, Any]:
-    said = (pq.read_schema(path).metadata or {}).get(METADATA_KEY)
+def _about(schema: pa.Schema) -> Mapping[str, Any]:
+    """Return what a file tells of its recording; nothing if it is somebody else's."""
+    said = (schema.metadata or {}).get(METADATA_KEY)
     return json.loads(said or "{}").get("about", {})
 
 
@@ -254,12 +255,9 @@ def _advice(table: pa.Table) -> str:
 
 def _is_recorded(table: pa.Table) -> bool:
     """Return whether a file tells what it was recorded from, legibly or not."""
-    said = (table.schema.metadata or {}).get(METADATA_KEY)
-    if said is None:
-        return False
     try:
-        return json.loads(said)["about"] != {}
-    except (ValueError, KeyError, TypeError):
+        return _about(table.schema) != {}
+    except (ValueError, AttributeError):
         return True
 
 
@@ -284,11 +282,10 @@ def _read(path: Path) -> pa.Table:
 
 
 def _check_recording(path: Path, table: pa.Table, demonstrating: Mapping[str, object] | None) -> None:
-    said = (table.schema.metadata or {}).get(METADATA_KEY)
-    if demonstrating is None or said is None:
-        return  # somebody else's file
+    if demonstrating is None:
+        return
     try:
-        about = json.loads(said).get("about", {})
+        about = _about(table.schema)
         recording = recorded(about["config"]).demonstrating if "config" in about else {}
     except (ValueError, AttributeError, TypeError) as error:
         raise InputError(f"{_named(path)} tell of their recording what cannot be read ({error}); {_AGAIN}") from None

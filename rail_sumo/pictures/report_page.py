@@ -29,8 +29,6 @@ CELLS, TRAFFIC, DIFFERENCES = "cells.parquet", "traffic.parquet", "differences.p
 TABLE1, TABLE1_TOLD, SWEEP = "table1.csv", "table1.md", "sweep.md"
 KINDS = {CONFIG: "run", EPISODES: "evaluation", CELLS: "study", TRAFFIC: "sweep"}
 """What a folder is, by the first of these files that it has."""
-UNDER_WAY = "cells"
-"""The folder of a sweep's or a study's runs, which are there before its tables."""
 
 MOST_EDGES = 10
 """So many edges are shown of a sweep."""
@@ -84,7 +82,7 @@ def _kind(folder: Path) -> str:
     if not folder.is_dir():
         raise InputError(f"'{folder}' is no folder; name one that train, eval, sweep or reproduce has written")
     kind = next((kind for file, kind in KINDS.items() if (folder / file).is_file()), None)
-    if kind is None and (folder / UNDER_WAY).is_dir():
+    if kind is None and (folder / report.FINISHED).is_dir():
         raise InputError(
             f"'{folder}' has no tables yet, only what is finished of a sweep or study; its command writes them at the "
             f"end, and goes on if it was stopped"

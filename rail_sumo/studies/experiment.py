@@ -196,7 +196,7 @@ class Experiment:
 
     def _all_finished(self) -> list[pd.DataFrame]:
         """Return what every finished cell of this configuration came to, in the order of `CELL_COLUMNS`."""
-        names = [file.stem for file in (self.out / "cells").glob("[!.]*.parquet")]
+        names = [file.stem for file in (self.out / report.FINISHED).glob("[!.]*.parquet")]
         work = [self._work(cell) for cell in sorted(cell for cell in map(Cell.parse, names) if cell)]
         return [one.result() for one in work if one.is_finished]
 
@@ -238,7 +238,7 @@ class _Work:
 
     @property
     def _file(self) -> Path:
-        return self.out / "cells" / f"{self.cell.name}.parquet"
+        return self.out / report.FINISHED / f"{self.cell.name}.parquet"
 
     @property
     def _inputs(self) -> dict[str, str]:

@@ -85,7 +85,7 @@ class ShareRun:
     def file(self) -> Path:
         """Where its rows are kept."""
         parts = [quote(one, safe="") for one in (self.driver, self.setting) if one]
-        return self.out / "cells" / f"{'-'.join(parts)}-{self.share:g}-seed{self.seed}.parquet"
+        return self.out / report.FINISHED / f"{'-'.join(parts)}-{self.share:g}-seed{self.seed}.parquet"
 
     @property
     def edges_file(self) -> Path:

@@ -321,17 +321,18 @@ class Sweep:
             )
 
     def _unlike_types(self) -> Iterator[str]:
-        """Tell which types of the demand follow and speed up otherwise than driven cars, whoever drives these."""
-        if self._leaves_all or not set(self.drivers) - {ACC, AS_THEY_ARE}:
+        """Tell which types of the demand keep another time gap than driven cars, or speed up otherwise."""
+        if not set(self.drivers) - {ACC, AS_THEY_ARE}:
             return
-        adas, told = self.config.adas, []
-        for contents in demand_of(self.config).contents:
-            for kind, own in contents.following.items():
-                tau, accel = own.get("tau", adas.time_gap_s), own.get("accel", adas.acceleration_mps2)
-                if not 1 / OTHER_GAP < tau / adas.time_gap_s < OTHER_GAP:
-                    told.append(f"'{kind}' tau {tau:g}")
-                if not 1 / OTHER_ACCELERATION < accel / adas.acceleration_mps2 < OTHER_ACCELERATION:
-                    told.append(f"'{kind}' accel {accel:g}")
+        adas = self.config.adas
+        ours = {"tau": (adas.time_gap_s, OTHER_GAP), "accel": (adas.acceleration_mps2, OTHER_ACCELERATION)}
+        told = [
+            f"'{kind}' {name} {value:g}"
+            for contents in demand_of(self.config).contents
+            for kind, own in contents.following.items()
+            for name, value in own.items()
+            if not 1 / ours[name][1] < value / ours[name][0] < ours[name][1]
+        ]
         if told:
             yield (
                 f"driven cars keep {adas.time_gap_s:g} s and speed up by {adas.acceleration_mps2:g} m/s², and types of "

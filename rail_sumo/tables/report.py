@@ -26,6 +26,8 @@ FEW = 5
 EPISODES, SUMMARY, DECISIONS = "episodes.parquet", "summary.parquet", "decisions.parquet"
 WORLD, ORIGIN = "world.toml", "evaluation.json"
 """The files of an evaluation's folder: its tables, the configuration, and how it was made."""
+FINISHED = "cells"
+"""The folder of what is finished of a sweep or a study, which is there before its tables."""
 
 CONTACTS = ("collisions", "struck")
 """Metrics that are 0 in nearly every episode."""

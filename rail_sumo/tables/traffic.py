@@ -135,8 +135,8 @@ class Reports:
         self._run = run
         self._samples = _samples(run)
         self._trips = _trips(run.folder / "trips.xml")
-        self._changes = _changes(run)
-        self._contacts = _contacts(run)
+        self._changes = _noted(run, "changes.xml", "change", id="id", lane="from")
+        self._contacts = _noted(run, "collisions.xml", "collision", collider="collider", victim="victim", lane="lane")
         lanes_m: dict[str, list[float]] = {edge: [] for edge in run.edges}
         for name, lane in run.lanes.items():
             if lane.is_open and (edge := name.rpartition("_")[0]) in lanes_m:
@@ -298,24 +298,14 @@ def _time_loss_s(samples: pd.DataFrame) -> pd.Series:
     return SAMPLED_S * (1 - samples["speed"] / samples["wish"]).clip(0)
 
 
-def _changes(run: Run) -> pd.DataFrame:
-    """Return who changed lanes in the period, and from which."""
+def _noted(run: Run, file: str, tag: str, **attributes: str) -> pd.DataFrame:
+    """Return what a file notes in the period: a row for each such element, and of each column the attribute named."""
     found = [
-        (one.get("id"), one.get("from"))
-        for one in _elements(run.folder / "changes.xml", "change")
+        tuple(map(one.get, attributes.values()))
+        for one in _elements(run.folder / file, tag)
         if run.from_s <= float(one.get("time", "")) < run.until_s
     ]
-    return pd.DataFrame(found, columns=["id", "lane"], dtype="str")
-
-
-def _contacts(run: Run) -> pd.DataFrame:
-    """Return which two vehicles touched in the period, and on which lane."""
-    found = [
-        (one.get("collider"), one.get("victim"), one.get("lane"))
-        for one in _elements(run.folder / "collisions.xml", "collision")
-        if run.from_s <= float(one.get("time", "")) < run.until_s
-    ]
-    return pd.DataFrame(found, columns=["collider", "victim", "lane"], dtype="str")
+    return pd.DataFrame(found, columns=list(attributes), dtype="str")
 
 
 def _begins(holds: np.ndarray, is_next: np.ndarray) -> np.ndarray:

@@ -19,7 +19,7 @@ CRAWL_MPS = 1.0
 
 
 class Approach(NamedTuple):
-    """How a vehicle comes to the place where the lanes meet."""
+    """A vehicle on its way to where the lanes meet."""
 
     name: str
     metres: float
@@ -56,9 +56,9 @@ class Zipper:
         self._zips_with, self._next_lanes = road.zips_with, road.next_lanes
 
     def allowed_mps(self, speed_mps: float) -> float:
-        """Return the highest speed at the end of the next step that leaves a gap behind whoever goes first.
+        """Return how fast it may be at the end of the next step, to fall in behind whoever goes first.
 
-        It brakes no more than comfortably for that.
+        For that it brakes no more than comfortably; inf if nobody goes first.
         """
         if not self._zips_with:
             return math.inf
@@ -68,6 +68,8 @@ class Zipper:
     def _who_go_first(self) -> Iterator[Leader]:
         """Yield of each lane that is about to join its own the last of those who go first."""
         others, to_meet_m = self._lanes_that_join()
+        if not others:
+            return
         own = _approach(self._name, to_meet_m)
         for lane in others:
             last = None
@@ -89,9 +91,9 @@ class Zipper:
 
 
 def goes_first(one: Approach, other: Approach) -> bool:
-    """Return whether one goes first, as SUMO's drivers have it: both must be of one mind.
+    """Return whether one of two goes first, by the rule of SUMO's drivers: both must be of one mind.
 
-    That is whoever is ahead, if the other could stay behind by braking for a second; else who would be there first.
+    Whoever is ahead does, if the other could stay behind by braking for a second. Else the earlier one does.
     """
     if one.stays_behind(other) or other.stays_behind(one):
         return other.stays_behind(one)
