@@ -540,6 +540,7 @@ def test_types_that_follow_otherwise_than_driven_cars_are_told_of(tmp_path):
     assert "('far' tau 1.4; 'far' accel 1; 'near' tau 0.8): " in note
     for drivers in (("acc",), ("sumo",)):
         assert not list(replace(swept, drivers=drivers)._unlike_types())
+    assert not list(replace(swept, key="adas.time_gap_s", settings=("1", "1.4"))._unlike_types())
 
 
 def test_flow_is_of_the_same_road_at_every_share_however_far_vehicles_get(tmp_path):

@@ -321,8 +321,11 @@ class Sweep:
             )
 
     def _unlike_types(self) -> Iterator[str]:
-        """Tell which types of the demand keep another time gap than driven cars, or speed up otherwise."""
-        if not set(self.drivers) - {ACC, AS_THEY_ARE}:
+        """Tell which types of the demand keep another time gap than driven cars, or speed up otherwise.
+
+        Unless it is swept over either.
+        """
+        if not set(self.drivers) - {ACC, AS_THEY_ARE} or self.key in ("adas.time_gap_s", "adas.acceleration_mps2"):
             return
         adas = self.config.adas
         ours = {"tau": (adas.time_gap_s, OTHER_GAP), "accel": (adas.acceleration_mps2, OTHER_ACCELERATION)}
