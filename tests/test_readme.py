@@ -95,8 +95,19 @@ def test_the_configuration_shown_is_one_and_changes_what_it_names(tmp_path):
     }
 
 
+@pytest.fixture
+def printed(capsys):
+    """Run a program in this process, since to start another and load torch takes longer; return what it prints."""
+
+    def of(program):
+        exec(compile(program, "shown", "exec"), {"__name__": "__main__"})
+        return capsys.readouterr().out
+
+    return of
+
+
 @pytest.mark.slow
-def test_the_python_shown_runs_in_an_empty_folder(tmp_path):
+def test_the_python_shown_runs_in_an_empty_folder(tmp_path, rail_sumo, printed):
     (training,) = shown("docs/start.md", "python")
     edges, waves, stops, one_run = shown("docs/share.md", "python")
     over_trainings, apart = shown("docs/learners.md", "python")
@@ -110,16 +121,14 @@ def test_the_python_shown_runs_in_an_empty_folder(tmp_path):
         shutil.copytree(tmp_path / "runs" / "linear", tmp_path / "runs" / f"mine-seed{seed}")
     brief = in_one_process(over_trainings).replace("episodes=16", "episodes=1")
     brief = brief.replace('"]', '", "episode.duration_s=60"]', 1)
-    (tmp_path / "over_trainings.py").write_text(brief, encoding="utf-8")
-    assert re.fullmatch(r"[01]\.\d+ \(.* to .*\) of the expert's speed", run(tmp_path, "over_trainings.py").strip())
+    assert re.fullmatch(r"[01]\.\d+ \(.* to .*\) of the expert's speed", printed(brief).strip())
     brief = in_one_process(apart).replace("episodes=16", "episodes=4").replace('"]', '", "episode.duration_s=60"]', 1)
-    (tmp_path / "apart.py").write_text(brief, encoding="utf-8")
-    assert re.fullmatch(r"told apart: [01]\.\d\d", run(tmp_path, "apart.py").strip())
+    assert re.fullmatch(r"told apart: [01]\.\d\d", printed(brief).strip())
     brief = '"train.horizon_s=10", "search.n_directions=2", "train.evaluation_episodes=1", "episode.duration_s=20", '
     brief += '"cloning.epochs=5"'
     in_two = in_one_process(staged).replace("(20, 40, 80, 160)", "(1, 2)").replace("> 20", "> 1")
-    (tmp_path / "staged.py").write_text(in_two.replace("load()", f"load(None, [{brief}])"), encoding="utf-8")
-    assert [line.split()[0] for line in run(tmp_path, "staged.py").splitlines()] == ["1", "2"]
+    stages = printed(in_two.replace("load()", f"load(None, [{brief}])"))
+    assert [line.split()[0] for line in stages.splitlines()] == ["1", "2"]
     (tmp_path / "nearest.py").write_text(
         nearest.replace("load()", 'load(None, ["episode.duration_s=40"])').replace("episodes=16", "episodes=2"),
         encoding="utf-8",
@@ -127,25 +136,25 @@ def test_the_python_shown_runs_in_an_empty_folder(tmp_path):
     taught = run(tmp_path, "nearest.py").splitlines()[1:]
     assert [line.split()[1] for line in taught] == ["nearest", "expert"]
     assert float(taught[0].split()[2]) > 50.0
-    assert "(48,)" in run(tmp_path, "-c", environment + "print(observation.shape)\n")
+    assert "(48,)" in printed(environment + "print(observation.shape)\nenv.close()\n")
     (command,) = re.findall(r"# rail-sumo (eval .*)", floating_car_data)
-    run(tmp_path, "-c", "from rail_sumo import cli; cli.main()", *command.split(), "--episodes", "1")
-    small = "--network onramp --routes onramp --seeds 1 --duration 60 --warm-up 30"
+    assert rail_sumo(*command.split(), "--episodes", "1")[0] == 0
+    small = "--network onramp --routes onramp --seeds 1 --duration 60 --warm-up 30 --workers 1"
     share = f"sweep share 0 0.5 --driver road-rail --fcd --out share {small}"
-    run(tmp_path, "-c", "from rail_sumo import cli; cli.main()", *share.split())
-    assert {"share", "type", "van", "edge"} <= set(run(tmp_path, "-c", edges).split())
-    run(tmp_path, "-c", waves)
+    assert rail_sumo(*share.split())[0] == 0
+    assert {"share", "type", "van", "edge"} <= set(printed(edges).split())
+    printed(waves)
     assert (tmp_path / "waves.png").stat().st_size > 10_000
-    when = run(tmp_path, "-c", waves + stops.replace("120.0", "30.0").replace("< 0.1", "< 30.0")).splitlines()
+    when = printed(waves + stops.replace("120.0", "30.0").replace("< 0.1", "< 30.0")).splitlines()
     assert when[0].split() == ["min", "max"]
     assert when[2].startswith("joining1.")
-    run(tmp_path, "-c", one_run.replace("seed(4,", "seed(0,").replace("720.0", "90.0"))
+    printed(one_run.replace("seed(4,", "seed(0,").replace("720.0", "90.0"))
     alone, rows = pd.read_parquet(tmp_path / "seed4.parquet"), pd.read_csv(tmp_path / "share" / "traffic.csv")
     alone_mps = alone.loc[alone["timestep_time"].between(30.0, 89.9), "vehicle_speed"].astype("float64").mean()
     of_run = rows[(rows["driver"] == "road-rail") & (rows["vehicles"] == "all")]
     # The sweep measures in steps of 0.01 m/s, as SUMO writes text; the file written here holds 32-bit numbers.
     assert alone_mps == pytest.approx(of_run["speed_kmh"].item() / 3.6, abs=0.001)
-    by_lane = run(tmp_path, "-c", floating_car_data)
+    by_lane = printed(floating_car_data)
     assert {"runs/linear", "rule"} <= set(by_lane.split())
     assert "highway_2" in by_lane  # the lane in the middle, where neither can help driving
     fcd = pd.read_parquet(tmp_path / "judged" / "fcd")

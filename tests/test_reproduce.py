@@ -26,6 +26,7 @@ from rail_sumo.rollout import EVALUATION, SILENT, traffic_seed
 from rail_sumo.run_directory import PROGRESS, Checkpoint, RunDirectory
 from rail_sumo.studies import experiment, reproduce
 from rail_sumo.studies.experiment import SYSTEMS, Cell, Experiment
+from rail_sumo.tables import audit
 
 N_EPISODES, N_DECISIONS = 4, 10
 LEARNERS = tuple(name for name, system in SYSTEMS.items() if system.trains)
@@ -732,10 +733,10 @@ SMALL = [
 @pytest.mark.slow
 def test_killed_amid_a_training_it_goes_on_with_other_workers_to_the_same_bytes(tmp_path):
     small = config_file.load(None, SMALL)
-    systems = ("rail-2", "expert")
-    table1(small, tmp_path / "whole", systems, seeds=1)
+    systems, few = ("rail-2", "expert"), audit.FOLDS - 1  # of so few nobody is told apart, which would take the longest
+    table1(small, tmp_path / "whole", systems, seeds=1, episodes=few)
     overrides = itertools.chain.from_iterable(("--set", override) for override in SMALL)
-    size = ["--only", ",".join(systems), "--seeds", "1", "--episodes", str(N_EPISODES), "--workers", "2"]
+    size = ["--only", ",".join(systems), "--seeds", "1", "--episodes", str(few), "--workers", "2"]
     command = ["reproduce", "table1", *size, "--out", str(tmp_path / "killed"), *overrides]
     under_way = subprocess.Popen([sys.executable, "-c", "from rail_sumo.cli import main; main()", *command])
     run_under_way = tmp_path / "killed" / "runs" / "rail-2-40-seed0"
@@ -746,8 +747,13 @@ def test_killed_amid_a_training_it_goes_on_with_other_workers_to_the_same_bytes(
     under_way.wait()
     assert RunDirectory(run_under_way).checkpoint().iteration < 4
     assert not (tmp_path / "killed" / "table1.csv").exists()
-    table1(small, tmp_path / "killed", systems, seeds=1, workers=2)
+    table1(small, tmp_path / "killed", systems, seeds=1, episodes=few, workers=2)
     for file in ("cells.parquet", "cells.csv", "table1.csv", "table1.md"):
         assert (tmp_path / "whole" / file).read_bytes() == (tmp_path / "killed" / file).read_bytes()
-    apart = pd.read_parquet(tmp_path / "whole" / "cells.parquet").groupby("system")["told_apart"].count()
-    assert apart.to_dict() == {"rail-2": 8, "expert": 4}
+
+
+def test_all_but_sumo_are_told_apart_by_the_audits_classifier(tmp_path, monkeypatch):
+    monkeypatch.setattr(audit, "MINIBATCHES", 1)
+    table1(config_file.load(None, SMALL), tmp_path, ("rule", "sumo", "expert"), seeds=1)
+    apart = pd.read_parquet(tmp_path / "cells.parquet").groupby("system")["told_apart"].count()
+    assert apart.to_dict() == {"rule": N_EPISODES, "sumo": 0, "expert": N_EPISODES}
