@@ -198,14 +198,21 @@ def in_the_mirror(network, size_m):
     return text.replace("<net ", '<net lefthand="true" ', 1)
 
 
-@pytest.mark.parametrize("drives_on", ["the right", "the left"])
-def test_driven_cars_pass_lorries_that_wait_within_a_crossing_and_touch_none(tmp_path, drives_on):
+def without_signals(network):
+    """The same network, where signals give way to the priority that holds while they are off."""
+    text = re.sub(r"<tlLogic.*?</tlLogic>", "", network.read_text(), flags=re.DOTALL)
+    text = re.sub(r' tl="c" linkIndex="\d+"', "", text).replace('"traffic_light"', '"priority"')
+    return text.replace('state="O"', 'state="M"').replace('state="o"', 'state="m"')
+
+
+@pytest.mark.parametrize("where", ["on the right", "on the left", "without signals"])
+def test_driven_cars_pass_lorries_that_wait_within_a_crossing_and_touch_none(tmp_path, where):
     """SUMO's cars touch their corners, three of four; driven ones touched them, or stood before them for ever."""
     network, demand = Path(__file__).with_name("left_turns.net.xml"), tmp_path / "left.rou.xml"
-    if drives_on == "the left":
-        mirrored = tmp_path / "mirrored.net.xml"
-        mirrored.write_text(in_the_mirror(network, 500.0))
-        network = mirrored
+    if where != "on the right":
+        other = tmp_path / "other.net.xml"
+        other.write_text(in_the_mirror(network, 500.0) if where == "on the left" else without_signals(network))
+        network = other
     flow = '<flow id="{}" from="{}" to="{}" begin="0" end="300" departSpeed="max" '.format
     demand.write_text(
         '<routes><vType id="lorry" vClass="truck"/><vType id="car"/>'

@@ -1,5 +1,6 @@
 import gzip
 import math
+import re
 from pathlib import Path
 
 import numpy as np
@@ -56,14 +57,18 @@ def test_how_far_drivers_see_is_told_for_the_lane_it_is_told_of(tmp_path):
 
 
 @pytest.mark.parametrize("state", ["m", "=", "s", "w", "o"])
-def test_a_course_gives_way_where_a_connection_on_it_has_no_priority(tmp_path, state):
+def test_a_course_meets_others_where_it_has_no_priority_or_they_cross_its_way(tmp_path, state):
     crossing = Path(__file__).with_name("crossing.net.xml")
     path = tmp_path / "crossing.net.xml"
-    path.write_text(crossing.read_text().replace('state="m"', f'state="{state}"'))
-    assert road.load(str(path)).gives_way
-    path.write_text(crossing.read_text().replace('state="M"', 'state="w"').replace('state="m"', 'state="M"'))
-    assert not road.load(str(path)).gives_way  # the small letters are the other road's now
-    assert not any(road.load(name).gives_way for name in ("highway5", "ring5"))
+    alone = re.sub('foes="[01]+"', 'foes="000"', crossing.read_text())
+    path.write_text(alone.replace('state="m"', f'state="{state}"'))
+    assert road.load(str(path)).meets_others
+    alone = alone.replace('state="M"', 'state="w"').replace('state="m"', 'state="M"')
+    path.write_text(alone)
+    assert not road.load(str(path)).meets_others  # the small letters are the other road's now
+    path.write_text(alone.replace('index="0" response="100" foes="000"', 'index="0" response="000" foes="100"'))
+    assert road.load(str(path)).meets_others
+    assert not any(road.load(name).meets_others for name in ("highway5", "ring5", "onramp"))  # there others join
 
 
 def test_the_rings_guard_rails_are_two_closed_circles_eight_metres_beside_the_middle():

@@ -35,7 +35,7 @@ def test_a_highway_has_the_lanes_of_its_name_from_end_to_end(name, lanes, limits
     assert {edge.n_lanes for edge in highway.edges} == {lanes}
     assert {edge.leads_on_m for edge in highway.edges} == {(INF,) * lanes}
     assert highway.length_m == pytest.approx(length_m, abs=50)
-    assert not highway.gives_way
+    assert not highway.meets_others
 
 
 def bends(border):
@@ -101,17 +101,17 @@ def test_only_the_rightmost_of_four_lanes_leaves_the_motorway():
 
 
 @pytest.mark.parametrize(
-    ("ends", "signals", "gives_way"),
+    ("ends", "signals"),
     [
-        (("east1", "east5"), 3, False),
-        (("west1", "west5"), 3, False),
-        (("east1", "park_north_out"), 3, True),  # turns left across what comes towards it
-        (("mill_south_in", "east5"), 1, True),
-        (("school_south_in", "school_north_out"), 1, True),
+        (("east1", "east5"), 3),
+        (("west1", "west5"), 3),
+        (("east1", "park_north_out"), 3),  # turns left across what comes towards it
+        (("mill_south_in", "east5"), 1),
+        (("school_south_in", "school_north_out"), 1),
     ],
 )
-def test_the_arterial_has_three_signals_and_one_junction_without(ends, signals, gives_way):
-    assert road.load("arterial", ends).gives_way is gives_way
+def test_the_arterial_has_three_signals_and_one_junction_without(ends, signals):
+    assert road.load("arterial", ends).meets_others
     world_there = world(network={"file": "arterial", "course": ends}, traffic=EMPTY, episode={"duration_s": 300.0})
     assert trial.check(world_there).n_signals == signals
 

@@ -543,6 +543,22 @@ def test_types_that_follow_otherwise_than_driven_cars_are_told_of(tmp_path):
     assert not list(replace(swept, key="adas.time_gap_s", settings=("1", "1.4"))._unlike_types())
 
 
+def test_types_that_want_other_speeds_than_driven_cars_are_told_of(tmp_path):
+    demand = tmp_path / "types.rou.xml"
+    demand.write_text(
+        '<routes><vType id="plain"/><vType id="even" speedFactor="1" speedDev="0"/><vType id="wide" speedDev="0.3"/>'
+        '<vType id="slow" speedFactor="normc(0.8, 0.05,0.5,1.1)"/><vType id="fast" speedFactor="1.2"/>'
+        '<vType id="lorry" vClass="truck" speedFactor="0.5"/><vType id="odd" speedFactor="?" speedDev="?"/>'
+        '<vType id="usual" speedFactor="norm(1.04,0.1)"/>'
+        '<route id="along" edges="highway"/><vehicle id="one" type="plain" route="along" depart="0"/></routes>'
+    )
+    config = config_file.validate({"network": {"file": "highway5"}, "traffic": {"routes": [str(demand)]}})
+    (note,) = small(config, tmp_path / "out", drivers=("rule", "acc"))._unlike_wishes()
+    wide, slow, fast = "speedFactor 1, speedDev 0.3", "speedFactor 0.8, speedDev 0.05", "speedFactor 1.2, speedDev 0.1"
+    assert f"do not ('wide' {wide}; 'slow' {slow}; 'fast' {fast}): " in note
+    assert not list(small(config, tmp_path / "out", drivers=("acc", "sumo"))._unlike_wishes())
+
+
 def test_flow_is_of_the_same_road_at_every_share_however_far_vehicles_get(tmp_path):
     """Where all cars are driven, a driver that crawls keeps nearly all of the last edge empty."""
     network, routes = tmp_path / "two.net.xml", tmp_path / "two.rou.xml"

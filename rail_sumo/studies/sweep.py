@@ -41,6 +41,8 @@ SECTIONS, PERIOD = ("network", "traffic", "adas", "lidar", "observation"), "epis
 """What may be swept over beside the share: numbers of these sections, and this one."""
 OTHER_GAP, OTHER_ACCELERATION = 1.1, 1.5
 """By what factor a type's `tau` or `accel` is another than that of driven cars, where it is told."""
+OTHER_WISH, USUAL_DEVIATION = 0.05, 0.1
+"""By how much the mean of a type's speed factors is another than 1, and SUMO's deviation of them, where it is told."""
 FOUND_OVER, FOUND_WITHIN_S = 2.0, 1200.0
 """To find the warm-up the traffic is watched for so many times the period that counts, and no less long than this."""
 
@@ -103,6 +105,7 @@ class Sweep:
         notes += road.misdrawn(self.config.network.file)
         notes += self._idle_keys()
         notes += self._unlike_types()
+        notes += self._unlike_wishes()
         notes += self._early_ends(warm_up_s)
         notes += roster.unlike_modes(_who(one for one in planned if one.driver in self.drivers))
         for note in notes:
@@ -341,6 +344,23 @@ class Sweep:
                 f"driven cars keep {adas.time_gap_s:g} s and speed up by {adas.acceleration_mps2:g} m/s², and types of "
                 f"the demand do otherwise ({cautions.listed(told)}): a part of what a share changes is that; to see "
                 "how much, set adas.time_gap_s and adas.acceleration_mps2 to theirs"
+            )
+
+    def _unlike_wishes(self) -> Iterator[str]:
+        """Tell which types of the demand want other speeds than driven cars, which all want the same."""
+        if not set(self.drivers) - {ACC, AS_THEY_ARE}:
+            return
+        told = [
+            f"'{kind}' speedFactor {mean:g}, speedDev {deviation:g}"
+            for contents in demand_of(self.config).contents
+            for kind, (mean, deviation) in contents.wishes.items()
+            if abs(mean - 1.0) > OTHER_WISH or deviation > USUAL_DEVIATION
+        ]
+        if told:
+            yield (
+                f"driven cars all want the same speed, and types of the demand do not ({cautions.listed(told)}): a "
+                "part of what a share changes is that; to see how much, drive share 0 of a copy whose types have "
+                'speedFactor="1" speedDev="0"'
             )
 
     def _at(self, setting: str) -> str:

@@ -1,6 +1,7 @@
 """One file of a user's demand, and what it says: who departs when, of which types, under which ids."""
 
 import math
+import re
 import xml.etree.ElementTree as ElementTree
 from contextlib import suppress
 from dataclasses import dataclass, field
@@ -43,6 +44,10 @@ LONGEST_CAR_M = 8.0
 """What is longer is no car, though its type names no class and SUMO takes it for one."""
 DENSEST_FLOW_PER_S = 1000.0
 """No road takes as many vehicles; SUMO would make them all and never come to an end."""
+NORMAL = re.compile(r"normc?\(\s*([^,]+),([^,)]+)")
+"""A speed factor that is drawn: its mean and its deviation."""
+CARS_DEVIATION = "0.1"
+"""SUMO's deviation of the speed factors of cars, where their type gives none."""
 OUTPUT_PARAMETER = ".file"
 """What the keys of parameters end with that do, as `device.ssm.file`."""
 
@@ -71,6 +76,8 @@ class DemandFile:
     """Lengths of types without a class that are longer than a car, by their ids."""
     following: dict[str, dict[str, float]] = field(default_factory=dict)
     """What types of cars tell of how they follow, `tau` and `accel`, by their ids."""
+    wishes: dict[str, tuple[float, float]] = field(default_factory=dict)
+    """Mean and deviation of the speed factors of types of cars, by their ids, where they tell of them."""
     kinds: set[str] = field(default_factory=set)
     """Ids of the types that vehicles are of."""
     closed_lanes: set[str] = field(default_factory=set)
@@ -109,6 +116,8 @@ class DemandFile:
                     self.long_cars[name] = length_m
             if self.types[name] in CARS:
                 self.following[name] = _numbers(element, "tau", "accel")
+                with suppress(ValueError):
+                    self.wishes[name] = _wish(element)
         if tag == "closingLaneReroute":
             self.closed_lanes.add(name)
         if tag == "include":
@@ -169,6 +178,17 @@ def _numbers(element: ElementTree.Element, *names: str) -> dict[str, float]:
         with suppress(ValueError):
             numbers[name] = float(element.get(name, ""))
     return numbers
+
+
+def _wish(kind: ElementTree.Element) -> tuple[float, float]:
+    """Return mean and deviation of a type's speed factors, which it may give as a distribution.
+
+    Raises:
+        ValueError: it gives what is neither.
+    """
+    distribution, factor = NORMAL.match(kind.get("speedFactor", "")), kind.get("speedFactor", "1")
+    mean, deviation = distribution.groups() if distribution else (factor, CARS_DEVIATION)
+    return float(mean), float(kind.get("speedDev", deviation))
 
 
 def _rate_per_s(flow: ElementTree.Element, lasts_s: float) -> float:

@@ -3,7 +3,7 @@
 import itertools
 import math
 from collections import Counter
-from collections.abc import Iterator, Mapping, Sequence, Set
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from statistics import fmean
 from typing import Any, NamedTuple
 
@@ -37,16 +37,16 @@ class Lanes(NamedTuple):
     junctions_m: tuple[float, ...]
 
 
-def survey(net: Any, way: Way, without_foes: Set[tuple[str, int]]) -> Lanes:
+def survey(net: Any, way: Way, has_no_foes: Callable[[Any], bool]) -> Lanes:
     """Return what the lanes of a way lead to.
 
     Args:
         net: the network, as sumolib has it.
         way: where to drive.
-        without_foes: junctions, and the indices of their connections that no other stream crosses or joins.
+        has_no_foes: tells of a connection whether no other stream crosses or joins it.
     """
     junctions_m = tuple(_through_m(net, joint) for joint in way.joints)
-    abreast = [_abreast(net, joint, without_foes) for joint in way.joints]
+    abreast = [_abreast(net, joint, has_no_foes) for joint in way.joints]
     edges = tuple(
         _edge(edge, lanes, way, *ahead)
         for edge, lanes, *ahead in zip(
@@ -65,6 +65,11 @@ def survey(net: Any, way: Way, without_foes: Set[tuple[str, int]]) -> Lanes:
         if pairs and joint[0].getViaLaneID()
     ]
     return Lanes(edges, {joint.id: joint for joint in joints}, _next_lanes(net, way), _zips_with(way), junctions_m)
+
+
+def has_priority(connection: Any) -> bool:
+    """Return whether a connection has priority by its state: a small letter or = has not."""
+    return bool(connection.getState().isupper())
 
 
 def within(net: Any, connection: Any) -> Iterator[Any]:
@@ -130,7 +135,7 @@ def _limit_mps(lanes: list[Any]) -> float:
     return max(lane.getSpeed() for lane in lanes)
 
 
-def _abreast(net: Any, joint: Joint, without_foes: Set[tuple[str, int]]) -> list[Pair]:
+def _abreast(net: Any, joint: Joint, has_no_foes: Callable[[Any], bool]) -> list[Pair]:
     """Return the pairs of neighbouring connections that run side by side from edge to edge.
 
     They have priority, lead straight on, and cross or join no other stream. Their lanes, within the junction too, are
@@ -145,11 +150,11 @@ def _abreast(net: Any, joint: Joint, without_foes: Set[tuple[str, int]]) -> list
     inside = [lane.getID() for way in ways for lane in way[1:-1]]
     if inside and inside != _in_a_row(inside[0], len(joint)):
         return []
-    node, starts = here.getToNode(), Counter(way[0] for way in ways)
+    starts = Counter(way[0] for way in ways)
     is_free = [
         c.getDirection() == c.LINKDIR_STRAIGHT
         and starts[c.getFromLane()] == 1
-        and (node.getID(), node.getLinkIndex(c)) in without_foes
+        and has_no_foes(c)
         and len({lane.getWidth() for lane in way}) == 1
         for c, way in zip(joint, ways, strict=True)
     ]

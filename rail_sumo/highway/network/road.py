@@ -20,7 +20,7 @@ from rail_sumo.highway.network import course
 from rail_sumo.highway.network.borders import borders
 from rail_sumo.highway.network.course import CAR
 from rail_sumo.highway.network.edge import Edge
-from rail_sumo.highway.network.lanes import CHANGE_LEFT, CHANGE_RIGHT, survey
+from rail_sumo.highway.network.lanes import CHANGE_LEFT, CHANGE_RIGHT, has_priority, survey, within
 from rail_sumo.highway.network.sumo_xml import UNREADABLE, opened, require_flat, state_of
 from rail_sumo.records import Floats
 
@@ -53,8 +53,8 @@ class Road:
     junctions_m: tuple[float, ...]
     """How long the way through the junction after each edge is; after a chain's last edge 0."""
     is_loop: bool
-    gives_way: bool
-    """Whether it leads through a junction without priority."""
+    meets_others: bool
+    """Whether it leads through a junction without priority, or where others cross its way."""
     sight_m: Mapping[str, float]
     """How far before a junction drivers see who comes, where that is told, by the lane that they enter it on."""
     is_left_hand: bool
@@ -222,9 +222,9 @@ def _load(path: Path, wanted: tuple[str, ...], vclass: str, closed: frozenset[st
     return Road(
         net_file=path,
         name=assets.network_name(path.name),
-        **survey(net, replace(way, closed=closed), reader.without_foes)._asdict(),
+        **survey(net, replace(way, closed=closed), reader.has_no_foes)._asdict(),
         is_loop=way.is_loop,
-        gives_way=not all(c.getState().isupper() for joint in way.joints for c in joint),  # a small letter or =
+        meets_others=any(not has_priority(c) or reader.is_crossed(c) for joint in way.joints for c in joint),
         sight_m=reader.sight_m,
         is_left_hand=reader.is_left_hand,
         boundaries=borders(net, way, mirrored=reader.is_left_hand),
@@ -240,8 +240,8 @@ class _Reader(sumolib.net.NetReader):
         self._depth = 0
         self.is_left_hand = False
         self.sight_m: dict[str, float] = {}
-        self.without_foes: set[tuple[str, int]] = set()
-        """Junctions, and the indices of their connections that no other stream crosses or joins."""
+        self._foes: dict[tuple[str, int], str] = {}  # by junction and index of a connection: 1 for each, the last first
+        self._streams: dict[str, dict[int, Any]] = {}  # by junction: its connections by their index
 
     def startElement(self, name: str, attrs: Any) -> None:
         self._depth += 1
@@ -253,12 +253,32 @@ class _Reader(sumolib.net.NetReader):
                 self._currentLane.setParam(side, attrs[side])
         if name == "connection" and "visibility" in attrs and "via" in attrs:
             self.sight_m[attrs["via"]] = float(attrs["visibility"])
-        if name == "request" and "1" not in attrs["foes"]:
-            self.without_foes.add((self._currentNode.getID(), int(attrs["index"])))
+        if name == "request":
+            self._foes[self._currentNode.getID(), int(attrs["index"])] = attrs["foes"]
 
     def endElement(self, name: str) -> None:
         self._depth -= 1
         super().endElement(name)
+
+    def has_no_foes(self, connection: Any) -> bool:
+        """Return whether no other stream crosses or joins a connection."""
+        return "1" not in self._foes.get(_place(connection), "1")
+
+    def is_crossed(self, connection: Any) -> bool:
+        """Return whether another stream crosses a connection, or may wait within the junction before it joins it."""
+        node, ahead = connection.getFrom().getToNode(), connection.getTo()
+        foes = self._foes.get(_place(connection), "")
+        if node.getID() not in self._streams:
+            self._streams[node.getID()] = {node.getLinkIndex(one): one for one in node.getConnections()}
+        streams = self._streams[node.getID()]
+        others = (streams[index] for index in range(len(foes)) if foes[-1 - index] == "1" and index in streams)
+        return any(one.getTo() != ahead or len(list(within(self.getNet(), one))) > 1 for one in others)
+
+
+def _place(connection: Any) -> tuple[str, int]:
+    # A connection's junction, and its index there.
+    node = connection.getFrom().getToNode()
+    return node.getID(), node.getLinkIndex(connection)
 
 
 @lru_cache(maxsize=16)  # the host may take another course in every episode, on one of several networks

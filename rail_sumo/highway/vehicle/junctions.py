@@ -50,8 +50,8 @@ class Junctions:
         """Tell what is ahead along a course, so far away."""
         self._edges, self._sight_m = road.edge_of, road.sight_m
         self._is_left_hand, self._sees_m = road.is_left_hand, sees_m
-        self.matter = self._has_signals or road.gives_way
-        """Whether it may ever have to wait at one."""
+        self.matter = self._has_signals or road.meets_others
+        """Whether it may ever have to wait at one, or somebody may stand in its way there."""
 
     def places(self, speed_mps: float) -> tuple[tuple[Place, ...], tuple[Place, ...]]:
         """Return where right of way asks it to be slow: limits that may be met late, and places that may not.
