@@ -70,7 +70,7 @@ def main() -> None:
         for name, policy in who.items():
             driven = shown if policy is expert else drive(policy)
             table = pd.DataFrame([metrics.row(one, world.adas) for one in driven])
-            apart = float(audit.told_apart(driven, shown).mean())
+            apart = math.nan if policy is expert else float(audit.told_apart(driven, shown).mean())
             contacts = int(table["collisions"].sum())
             rows.append({"who": name, **table[FIGURES].mean(), "told apart": apart, "contacts": contacts})
     table = pd.DataFrame(rows).set_index("who")

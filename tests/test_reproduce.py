@@ -361,7 +361,7 @@ def test_drivers_that_do_not_train_cannot_have_too_few_trainings(world, done, tm
 
 
 def test_the_table_made_from_cells_is_the_experiments_byte_for_byte(world, done, tmp_path):
-    world = world.changed(train={"iterations": "default"})  # of other numbers the cells do not know
+    world = world.changed(train={"iterations": "default"})  # of other numbers the cells do not know, nor of other keys
     some = ("rule", "rail-1", "gail-2")
     of_all, of_some = table1(world, tmp_path / "all", seeds=2), table1(world, tmp_path / "some", some, seeds=2)
     others = [("rail-2", 5), ("gail-2", 5), ("expert", 0)]  # as the figures leave among the cells
@@ -372,7 +372,8 @@ def test_the_table_made_from_cells_is_the_experiments_byte_for_byte(world, done,
     pd.testing.assert_frame_equal(reproduce.table1_of(cells, tmp_path / "made of some", some), of_some)
     assert done == []
     for name, file in itertools.product(("all", "some"), ("table1.csv", "table1.md")):
-        assert (tmp_path / f"made of {name}" / file).read_bytes() == (tmp_path / name / file).read_bytes()
+        whole = (tmp_path / name / file).read_bytes().removesuffix(b"\nOther than the defaults: cloning.epochs = 0.\n")
+        assert (tmp_path / f"made of {name}" / file).read_bytes() == whole
     assert {path.name for path in (tmp_path / "made of all").iterdir()} == {"table1.csv", "table1.md"}
 
 
@@ -460,11 +461,12 @@ def test_what_was_quick_goes_on_to_the_whole_and_not_back(world, done, tmp_path)
     assert resumed == {name: (long[kind], True) for name in LEARNERS if (kind := name.partition("-")[0]) != "bc"}
 
 
-def test_the_table_tells_what_was_trained_for_other_than_the_usual_iterations(world, done, tmp_path):
+def test_the_table_tells_of_other_iterations_and_keys_than_the_usual(world, done, tmp_path):
     whole, systems = world.changed(train={"iterations": "default"}), ("rail-2", "rail-1", "dagger-2", "bc-2", "rule")
     quick = [
         "Trained for 40 iterations in place of 160 (--quick): RAIL, two layers; RAIL, one layer.",
         "Trained for 5 iterations in place of 20 (--quick): DAgger, two layers.",
+        "Other than the defaults: cloning.epochs = 0.",
     ]
     table1(whole, tmp_path / "quick", systems, seeds=1, quick=True)
     told = (tmp_path / "quick" / "table1.md").read_text()
@@ -476,7 +478,10 @@ def test_the_table_tells_what_was_trained_for_other_than_the_usual_iterations(wo
     assert "Trained for" not in (tmp_path / "quick" / "table1.md").read_text()
     table1(world.changed(train={"iterations": 20}), tmp_path / "own", systems, seeds=1, quick=True)
     told = (tmp_path / "own" / "table1.md").read_text()  # quick changes nothing that is said
-    assert told.endswith("\n\nTrained for 20 iterations in place of 160: RAIL, two layers; RAIL, one layer.\n")
+    own = "Trained for 20 iterations in place of 160: RAIL, two layers; RAIL, one layer."
+    assert told.endswith(f"\n\n{own}\n\n{quick[-1]}\n")
+    table1(config_file.load(None), tmp_path / "usual", ("expert",), seeds=1)
+    assert "Other than" not in (tmp_path / "usual" / "table1.md").read_text()
 
 
 def test_other_episodes_are_driven_without_training_again(world, done, tmp_path):

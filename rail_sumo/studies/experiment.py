@@ -135,8 +135,8 @@ class Experiment:
         """That the demonstrations are, or may be, of another driver than the expert that all is compared with."""
         return tuple(training.other_expert(self.config, "ratios and 'told apart' are to"))
 
-    def other_iterations(self, systems: Iterable[str]) -> list[str]:
-        """Tell which of the systems are trained for more or fewer iterations than their learners usually are."""
+    def unusual(self, systems: Iterable[str]) -> list[str]:
+        """Tell what of a training of these systems is not as it usually is: its iterations, and keys of its own."""
         told: dict[tuple[int, int], list[str]] = {}
         for name in dict.fromkeys(systems):
             if not SYSTEMS[name].trains:
@@ -146,9 +146,15 @@ class Experiment:
             if len(set(iterations)) > 1:
                 told.setdefault(iterations, []).append(SYSTEMS[name].label)
         quick = " (--quick)" if self.quick and self.config.train.iterations == "default" else ""
+        usual_keys = Config().flat()
+        keys = [f"{key} = {value}" for key, value in self.config.flat().items() if value != usual_keys[key]]
+        others = [key for key in keys if not key.startswith("train.iterations ")]
         return [
-            f"Trained for {own} iterations in place of {usual}{quick}: {'; '.join(labels)}."
-            for (own, usual), labels in told.items()
+            *(
+                f"Trained for {own} iterations in place of {usual}{quick}: {'; '.join(labels)}."
+                for (own, usual), labels in told.items()
+            ),
+            *([f"Other than the defaults: {'; '.join(others)}."] if others else []),
         ]
 
     def drive(self, grid: Iterable[tuple[str, int]]) -> pd.DataFrame:
@@ -186,7 +192,7 @@ class Experiment:
                 self.observer.advance({})
         report.write(self.out, cells=_typed(self._all_finished()), overwrite=True)
         files = training.inputs_of(self.config) | training.expert_input(self.config)
-        notes += self.other_iterations(system for system, _ in systems)
+        notes += self.unusual(system for system, _ in systems)
         origin.describe(self.out, self.config, self.command, notes=notes, trains=True, files=files)
         return _typed(driven)
 

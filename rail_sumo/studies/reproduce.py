@@ -81,7 +81,7 @@ def table1(experiment: Experiment, systems: Sequence[str] = tuple(SYSTEMS)) -> p
     grid = [(name, n_shown if SYSTEMS[name].trains else 0) for name in _with_the_expert(systems)]
     own = experiment.config
     as_the_paper = (own.network, own.traffic, own.episode, own.varied) == _PAPERS_WORLD
-    notes = [*experiment.other_iterations(name for name, _ in grid), *experiment.notes]
+    notes = [*experiment.unusual(name for name, _ in grid), *experiment.notes]
     return _written(experiment.drive(grid), experiment.out, as_the_paper=as_the_paper, notes=notes)
 
 
