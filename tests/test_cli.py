@@ -355,7 +355,7 @@ def test_a_file_that_a_sumocfg_names_and_is_not_there_is_told_with_it_unless_ano
     told = "rail-sumo: 'a/my.sumocfg' names 'a/lost.rou.xml', which does not exist; correct it, or set traffic.routes"
     for command in (("network", "check"), ("eval", "keep", "--network")):
         code, _, err = rail_sumo(*command, "a/my.sumocfg")
-        assert (code, err.strip()) == (2, f"{told} yourself")
+        assert (code, err.strip()) == (2, f"{told} by --set")
     for instead in (("--routes", "highway3"), ("--set", 'traffic.routes=["highway3"]')):
         code, out, _ = rail_sumo("config", "--network", "a/my.sumocfg", *instead)
         assert code == 0

@@ -391,11 +391,14 @@ def test_driven_cars_that_change_lanes_far_more_often_than_as_they_are_are_told_
     assert all("as they are: road-rail at 100% 13.1 times a km, as they are 1.3: a learned" in line for line in told)
 
 
-def test_measures_of_trips_are_told_to_be_of_few_where_few_begin_in_the_period():
+@pytest.mark.parametrize(("entered", "arrived"), [(2, 30), (30, 2)])
+def test_measures_of_trips_are_told_to_be_of_few_where_few_begin_or_end_in_the_period(entered, arrived):
     about = {"vehicles": "all", "setting": "", "driver": "rule", "share": 1.0}
-    table = pd.DataFrame([about | {"seed": seed, "inserted": number} for seed, number in enumerate((30, 2))])
+    trips = ((30, 20), (entered, arrived))
+    table = pd.DataFrame([about | {"seed": k, "inserted": one[0], "arrived": one[1]} for k, one in enumerate(trips)])
     (note,) = cautions.few_trips(table)
-    assert "(column inserted), at the least rule at 100% 2: travel times" in note
+    least = f"{min(entered, 30)} and {min(arrived, 20)}"
+    assert f"(columns inserted, arrived), at the least rule at 100% {least}: travel times" in note
     assert not list(cautions.few_trips(table[:1]))
 
 
@@ -750,7 +753,7 @@ def test_without_matplotlib_there_are_tables_and_a_word(monkeypatch, world, tmp_
     monkeypatch.setattr(plot, "with_bands", None)
     hears = Hears()
     small(world, tmp_path / "out", drivers=("acc",), shares=(1.0,), seeds=1, observer=hears).drive()
-    assert hears.said[0].startswith("few vehicles enter in the period of a run")
+    assert hears.said[0].startswith("few vehicles enter or arrive in the period of a run")
     assert hears.said[1:] == ["no figures without matplotlib; install it with: pip install 'rail-sumo[plots]'"]
     assert not (tmp_path / "out" / "figures").exists()
 

@@ -91,14 +91,18 @@ def growth(table: pd.DataFrame) -> Iterator[str]:
 
 
 def few_trips(table: pd.DataFrame) -> Iterator[str]:
-    """Tell where few vehicles enter in the period, since some measures are of their trips alone."""
-    entered = shares.of_all_vehicles(table).groupby(shares.ARM)["inserted"].min()
-    few = entered[entered < FEW_TRIPS]
-    if len(few):
-        told = [f"{shares.called(*arm)} {n:.0f}" for arm, n in few.items()]
+    """Tell where few vehicles enter in the period, or few arrive, since some measures are of their trips alone."""
+    trips = shares.of_all_vehicles(table).groupby(shares.ARM)[["inserted", "arrived"]].min()
+    few = (trips < FEW_TRIPS).any(axis=1)
+    if few.any():
+        told = [
+            f"{shares.called(*arm)} {entered:.0f} and {arrived:.0f}"
+            for arm, entered, arrived in trips[few].itertuples()
+        ]
         yield (
-            f"few vehicles enter in the period of a run (column inserted), at the least {listed(told)}: travel times, "
-            "departure delays and CO2 are of those trips alone; begin earlier, or let the period be longer"
+            f"few vehicles enter or arrive in the period of a run (columns inserted, arrived), at the least "
+            f"{listed(told)}: travel times are of those that arrive alone, and departure delays and CO2 of those that "
+            "enter, CO2 as far as they come; begin earlier, or let the period be longer"
         )
 
 

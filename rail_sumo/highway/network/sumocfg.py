@@ -113,7 +113,7 @@ def require_files(path: Path, keys: Mapping[str, Any]) -> None:
     for key in filter(keys.__contains__, FILE_KEYS):
         for file in [keys[key]] if isinstance(keys[key], str) else keys[key]:
             if not Path(file).exists():
-                raise InputError(f"'{path}' names '{file}', which does not exist; correct it, or set {key} yourself")
+                raise InputError(f"'{path}' names '{file}', which does not exist; correct it, or set {key} by --set")
 
 
 def _early_entry(begin_s: float, end: str) -> dict[str, float]:
