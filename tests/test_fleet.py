@@ -231,6 +231,32 @@ def test_driven_cars_pass_lorries_that_wait_within_a_crossing_and_touch_none(tmp
         assert sum(trip.get("id").startswith("ahead") for trip in trips) >= 45  # of 50
 
 
+def test_driven_cars_do_not_start_into_the_way_of_a_lorry_that_turns(tmp_path):
+    """SUMO's cars wait for it; driven ones crept over the line while SUMO called the way open, and it met them."""
+    demand, trips = tmp_path / "lorries.rou.xml", tmp_path / "trips.xml"
+    # From, straight on to, left to.
+    ways = (
+        ("bottom", "top", "left"),
+        ("top", "bottom", "right"),
+        ("left", "right", "top"),
+        ("right", "left", "bottom"),
+    )
+    flow = (
+        '<flow id="{0}.{1}" type="{0}" from="{1}0A0" to="A0{2}0" begin="{3}" end="300" period="{4}" departSpeed="max"/>'
+    )
+    flows = [
+        flow.format("car", begin, ahead, number, 15) + flow.format("lorry", begin, left, 2 * number, 20)
+        for number, (begin, ahead, left) in enumerate(ways)
+    ]
+    demand.write_text(f'<routes><vType id="lorry" vClass="truck"/><vType id="car"/>{"".join(flows)}</routes>')
+    world = with_demand(Path(__file__).with_name("all_way_stop.net.xml"), demand)
+    driven = Fleet(world, 1.0, 0, driver("rule", world), ("--tripinfo-output", str(trips)))
+    driven.drive(400.0)
+    assert driven.contacts == 0
+    arrived = [trip.get("id") for trip in ElementTree.parse(trips).getroot()]
+    assert sum(name.startswith("car") for name in arrived) >= 60, len(arrived)
+
+
 # Who is driven.
 
 

@@ -24,6 +24,8 @@ TOUCH_M = 0.01
 """A line nearer than this counts as reached."""
 STANDS_MPS, LINE_AT_M = 0.5, 1.0
 """A vehicle that is slower, and nearer to it, stands there."""
+LONG_M = 6.0
+"""A longer vehicle comes near to other lanes when it turns: SUMO has it as one straight box."""
 
 
 class Junctions:
@@ -114,7 +116,8 @@ class Junctions:
     def clear_mps(self, look_around: Callable[[], Scene], speed_mps: float) -> float:
         """Return how fast it may go on, for those who are across its way through a junction; inf if nobody is.
 
-        Before a junction it heeds those who stand there across its way, and stops at the line for them.
+        Before a junction it heeds those who stand there across its way, and stops at the line for them. Where it is
+        slow already it also waits there until a lorry has turned.
         Whom it can pass within its lane it passes; see `aside_m`.
 
         Args:
@@ -154,6 +157,8 @@ class Junctions:
         waits = state in NOT_GREEN and not self._drives_on  # for the signal
         if not via or waits or not self._is_crossed(via):
             return math.inf
+        if speed_mps < SLOW_MPS and self._is_swept(via):
+            return self._stopping_mps(speed_mps, to_line_m)
         host, others = np.split(look_around().boxes, [1], axis=1)
         standing = others[:, others[3] < crossing.STANDS_MPS]
         way = self._way([libsumo.vehicle.getLaneID(self._name), *lanes_inside(via)])
@@ -164,7 +169,11 @@ class Junctions:
             return crossing.passing_mps(free_m, comfort_mps2)
         if acc.braking_distance_m(speed_mps, self._adas.emergency_braking_mps2) >= to_line_m:
             return crossing.allowed_mps(free_m)
-        left_m = to_line_m - LINE_SHORT_M
+        return self._stopping_mps(speed_mps, to_line_m)
+
+    def _stopping_mps(self, speed_mps: float, to_line_m: float) -> float:
+        """Return the speed at the end of the next step with which it stops at the line."""
+        comfort_mps2, left_m = self._adas.comfort_braking_mps2, to_line_m - LINE_SHORT_M
         if left_m <= TOUCH_M:
             return 0.0
         braking_mps2 = max(speed_mps**2 / (2 * left_m), comfort_mps2)  # as hard as it takes: it may see them late
@@ -192,6 +201,12 @@ class Junctions:
         if inside not in self._crossing:
             self._crossing[inside] = libsumo.lane.getInternalFoes(inside)
         return any(map(libsumo.lane.getLastStepOccupancy, self._crossing[inside]))
+
+    def _is_swept(self, inside: str) -> bool:
+        """Return whether a long vehicle drives through the junction on such a lane."""
+        vehicle = libsumo.vehicle
+        names = (name for lane in self._crossing[inside] for name in libsumo.lane.getLastStepVehicleIDs(lane))
+        return any(vehicle.getLength(name) > LONG_M and vehicle.getSpeed(name) > STANDS_MPS for name in names)
 
     def _signals(self) -> list[Signal]:
         """Return the signals that it may have to brake for by now, the nearest first."""
