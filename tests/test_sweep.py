@@ -712,6 +712,7 @@ def test_what_makes_figures_doubtful_is_kept_beside_them(world, tmp_path, figure
         "traffic.lorries: of made traffic",
         "the last vehicle departs at 200 s, before the period ends at ",
         "the road fills up in the period, by vehicles in the mean over seeds: acc at 100% from",
+        "few vehicles enter or arrive in the period of a run (columns inserted, arrived), at the least ",
     )
     tables = swept.drive()
     assert tables.notes[0] == "told already"
