@@ -539,6 +539,11 @@ class Config(_Section):
         """Return every key as `section.key`, with its value."""
         return flat(self.model_dump())
 
+    def of_its_own(self) -> dict[str, Any]:
+        """Return the keys that have another value than by default, as `section.key`, with it."""
+        usual = Config().flat()
+        return {key: value for key, value in self.flat().items() if value != usual[key]}
+
     @property
     def senses(self) -> Senses:
         """What drivers see in this world who bring no senses of their own."""

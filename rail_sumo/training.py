@@ -90,8 +90,8 @@ def learn(
 
 def unread(config: Config) -> Iterator[str]:
     """Tell which keys have a value of their own in sections that the learner does not read."""
-    usual, others = Config().flat(), set(OF_LEARNERS) - set(learner_of(config).reads)
-    idle = [key for key, value in config.flat().items() if key.partition(".")[0] in others and value != usual[key]]
+    others = set(OF_LEARNERS) - set(learner_of(config).reads)
+    idle = [key for key in config.of_its_own() if key.partition(".")[0] in others]
     if idle:
         yield f"{', '.join(idle)}: without effect on learner '{config.train.learner}'"
 

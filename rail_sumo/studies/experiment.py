@@ -146,16 +146,12 @@ class Experiment:
             if len(set(iterations)) > 1:
                 told.setdefault(iterations, []).append(SYSTEMS[name].label)
         quick = " (--quick)" if self.quick and self.config.train.iterations == "default" else ""
-        usual_keys = Config().flat()
-        keys = [f"{key} = {value}" for key, value in self.config.flat().items() if value != usual_keys[key]]
-        others = [key for key in keys if not key.startswith("train.iterations ")]
-        return [
-            *(
-                f"Trained for {own} iterations in place of {usual}{quick}: {'; '.join(labels)}."
-                for (own, usual), labels in told.items()
-            ),
-            *([f"Other than the defaults: {'; '.join(others)}."] if others else []),
+        lines = [
+            f"Trained for {own} iterations in place of {usual}{quick}: {'; '.join(labels)}."
+            for (own, usual), labels in told.items()
         ]
+        others = [f"{key} = {value}" for key, value in self.config.of_its_own().items() if key != "train.iterations"]
+        return [*lines, f"Other than the defaults: {'; '.join(others)}."] if others else lines
 
     def drive(self, grid: Iterable[tuple[str, int]]) -> pd.DataFrame:
         """Bring a cell for every seed and every (system, trajectories) to its end; write `cells` into `out`.

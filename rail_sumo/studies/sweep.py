@@ -323,12 +323,17 @@ class Sweep:
                 "of the vehicle's own type"
             )
 
+    @property
+    def _has_supervisors(self) -> bool:
+        """Whether any of its drivers decides for itself, in the assistance layer's way."""
+        return bool(set(self.drivers) - {ACC, AS_THEY_ARE})
+
     def _unlike_types(self) -> Iterator[str]:
         """Tell which types of the demand keep another time gap than driven cars, or speed up otherwise.
 
         Unless it is swept over either.
         """
-        if not set(self.drivers) - {ACC, AS_THEY_ARE} or self.key in ("adas.time_gap_s", "adas.acceleration_mps2"):
+        if not self._has_supervisors or self.key in ("adas.time_gap_s", "adas.acceleration_mps2"):
             return
         adas = self.config.adas
         ours = {"tau": (adas.time_gap_s, OTHER_GAP), "accel": (adas.acceleration_mps2, OTHER_ACCELERATION)}
@@ -348,7 +353,7 @@ class Sweep:
 
     def _unlike_wishes(self) -> Iterator[str]:
         """Tell which types of the demand want other speeds than driven cars, which all want the same."""
-        if not set(self.drivers) - {ACC, AS_THEY_ARE}:
+        if not self._has_supervisors:
             return
         told = [
             f"'{kind}' speedFactor {mean:g}, speedDev {deviation:g}"

@@ -198,15 +198,19 @@ class Junctions:
 
     def _is_crossed(self, inside: str) -> bool:
         """Return whether anybody is on a lane that crosses one within a junction, or joins it."""
-        if inside not in self._crossing:
-            self._crossing[inside] = libsumo.lane.getInternalFoes(inside)
-        return any(map(libsumo.lane.getLastStepOccupancy, self._crossing[inside]))
+        return any(map(libsumo.lane.getLastStepOccupancy, self._across(inside)))
 
     def _is_swept(self, inside: str) -> bool:
-        """Return whether a long vehicle drives through the junction on such a lane."""
+        """Return whether a long vehicle drives on such a lane."""
         vehicle = libsumo.vehicle
-        names = (name for lane in self._crossing[inside] for name in libsumo.lane.getLastStepVehicleIDs(lane))
+        names = (name for lane in self._across(inside) for name in libsumo.lane.getLastStepVehicleIDs(lane))
         return any(vehicle.getLength(name) > LONG_M and vehicle.getSpeed(name) > STANDS_MPS for name in names)
+
+    def _across(self, inside: str) -> Sequence[str]:
+        """Return the lanes that cross one within a junction, or join it."""
+        if inside not in self._crossing:
+            self._crossing[inside] = libsumo.lane.getInternalFoes(inside)
+        return self._crossing[inside]
 
     def _signals(self) -> list[Signal]:
         """Return the signals that it may have to brake for by now, the nearest first."""
